@@ -238,7 +238,11 @@ def dot(count: int, left: Floats, right: Floats) -> float:
 @compiled
 def copy(count: int, source: Floats, result: Floats) -> None:
     """Copy the first values of an array."""
-    for i in range(count):
+    whole = count - count % 4
+    for i in range(0, whole, 4):
+        one, two, three, four = source[i], source[i + 1], source[i + 2], source[i + 3]
+        result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
+    for i in range(whole, count):
         result[i] = source[i]
 
 

@@ -7,7 +7,7 @@ import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
 from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.judge import detectors as rows
-from seft_plant_sim.judge.hypotheses import breaks, factorise, product, whiten
+from seft_plant_sim.judge.hypotheses import breaks, distance, factorise, product, whiten
 from seft_plant_sim.judge.judge import BRANCH, REVISED, judge_arrays
 from seft_plant_sim.judge.judge_step import ask, begin_judge, go_on, judge
 
@@ -87,9 +87,10 @@ def test_chi_squared_is_that_of_the_covariance():
         covariance = root @ root.T
         expected = off @ np.linalg.solve(covariance, off)
         room.covariance[:], room.off[:] = np.tril(covariance), off
-        det = whiten(p.axes[0], room, 6)
+        det = whiten(p.axes[0], room)
         assert det == pytest.approx(np.linalg.det(covariance), rel=1e-6)
         assert product(room, 6, 6) == pytest.approx(expected, rel=1e-6)
+        assert distance(room) == pytest.approx(expected, rel=1e-6)
 
 
 LARGEST = np.abs(motion()[1]).max(axis=0)

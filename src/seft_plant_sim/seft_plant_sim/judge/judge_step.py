@@ -37,12 +37,12 @@ from seft_plant_sim.judge.hypotheses import (
     V,
     X,
     allow_turn,
+    distance,
     fill_gram,
     is_turn,
     log_amplitudes,
     log_prior,
     members,
-    product,
     solve,
     weigh_end,
     whiten,
@@ -130,7 +130,7 @@ def judge(
             count = 1 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
             decide(known, axis, count)
             note_motion(known, axis, flow[0, i])
-        publish(state, step, i, judged)
+        publish(state, i, judged)
     for i in range(n):
         restoring, axis = judged[F, i], state.axes[i]
         for k in range(n):
@@ -281,8 +281,7 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    whiten(known, c, 6)
-    if not product(c, 6, 6) < PLAIN:
+    if not distance(c) < PLAIN:
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
@@ -341,7 +340,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
         compare_apart(known, axis, c, b, flow)
         for turns in (False, True):
             goes_on = allow_turn(known, axis, c, b) if turns else 0.0
-            log_det = math.log(whiten(known, c, 0))
+            log_det = math.log(whiten(known, c))
             chi2 = fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in SETS:
@@ -467,16 +466,18 @@ def decide(known: Record, axis: Record, count: int) -> None:
 
 
 @compiled
-def publish(state: JudgeState, step: int, i: int, judged: Floats) -> None:
+def publish(state: JudgeState, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
     b = state.axes[i].alive[0]
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
         place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
         was = state.replaced[place, i]
+        if now == was:
+            continue  # as nearly always
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
-        state.counts[ANY_ROW, i] += (now != 0) - (was != 0)
-        state.counts[SEVERAL_ROW, i] += (members(now) > 1) - (members(was) > 1)
+        state.counts[ANY_ROW, i] += int(now != 0) - int(was != 0)
+        state.counts[SEVERAL_ROW, i] += int(members(now) > 1) - int(members(was) > 1)
         state.replaced[place, i] = now
     for row in range(4):
         judged[row, i] = b.value[0, row]

@@ -94,14 +94,15 @@ def correct_errors(
     variance: float,
     work: Floats,
 ) -> None:
-    """Correct estimates by what the model without errors misses, of a variance (Kalman filter)."""
-    for j in range(len(errors)):
+    """Correct three estimates by what the model without errors misses, of a variance (Kalman)."""
+    for j in range(VALVE_ERRORS):
         missed -= errors[j] * regressor[j]
         work[j] = 0.0
-        for k in range(len(errors)):
+        for k in range(VALVE_ERRORS):
             work[j] += covariance[j, k] * regressor[k]
         variance += regressor[j] * work[j]
-    for j in range(len(errors)):
-        errors[j] += work[j] * missed / variance
-        for k in range(len(errors)):
-            covariance[j, k] -= work[j] * work[k] / variance
+    per_variance = 1.0 / variance
+    for j in range(VALVE_ERRORS):
+        errors[j] += work[j] * missed * per_variance
+        for k in range(VALVE_ERRORS):
+            covariance[j, k] -= work[j] * work[k] * per_variance

@@ -160,14 +160,14 @@ def feedforward_step(
 def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Floats) -> None:
     """Find the flow of a valve for a planned motion, as an opening without load: Eq. (4)."""
     flow, coming, taps = state.flow, state.coming[i], state.coming.shape[1]
-    leakage, capacity = p.actuator[i, 2], p.actuator[i, 3]
+    leaked, capacity, per_period = p.dt * p.actuator[i, 2], p.actuator[i, 3], 1.0 / p.dt
     compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, 1]
     then = points[0, 2, i] + _rubs(p, i, points[0, 1, i])
     for j in range(taps + 1):
         moved = points[j + 1, 0, i] - points[j, 0, i]
         now, then = then, points[j + 1, 2, i] + _rubs(p, i, points[j + 1, 1, i])
         rise, mean = then - now, 0.5 * (now + then)
-        needed = (moved + compliance * (rise + p.dt * leakage * mean)) / p.dt
+        needed = (moved + compliance * (rise + leaked * mean)) * per_period
         flow[j] = needed / under_load(needed, mean, capacity)
     late = state.errors[i, DELAY_ERROR] / p.dt
     coming[0] = flow[0] + late * (flow[1] - flow[0])
@@ -207,13 +207,13 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
     if state.steps[0] >= state.sent.shape[1]:  # all commands under way are known
         flow = dot(state.sent.shape[1], p.past[i, 0], state.sent[i])
         later = dot(state.sent.shape[1], p.past[i, 1], state.sent[i])
-        mean, smoothing = 0.5 * (force + last[1]), p.smoothing[i]
+        mean, smoothing, per_period = 0.5 * (force + last[1]), p.smoothing[i], 1.0 / p.dt
         passed = gain * under_load(flow, mean, p.actuator[i, 3])
-        squeezed = ((force - last[1]) / p.dt + leakage * mean) / oil
+        squeezed = ((force - last[1]) * per_period + leakage * mean) / oil
         signals[0] += smoothing * (passed * flow - signals[0])
         signals[1] += smoothing * (passed * later - signals[1])
         signals[2] += smoothing * (-squeezed - signals[2])
-        signals[3] += smoothing * ((x - last[0]) / p.dt - signals[3])
+        signals[3] += smoothing * ((x - last[0]) * per_period - signals[3])
         follow_valve(state.errors[i], state.covariance[i], signals, p.doubt[i], state.work)
     last[0], last[1] = x, force
 

@@ -51,7 +51,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints, zeros
-from seft_plant_sim.compiled import bounded, compiled, copy, multiply_sized
+from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
@@ -299,6 +299,41 @@ def slider_forces(
 
 
 @compiled
+def slide_on(
+    parameters: ModelParameters,
+    values: Floats,
+    change: Floats,
+    stops: Floats,
+    ahead: Floats,
+    forces: Floats,
+) -> None:
+    """Give the force of the sliders of each spring, (n,), N, after a change of its deformation, m.
+
+    It is a line as long as the motion goes on and no more sliders slide. ``ahead``, (n, 5), has its
+    force and slope, the motion so far and to the end of it, and the sense; the stop operators are
+    those of its beginning.
+    """
+    first = 1 + 2 * len(parameters.springs)
+    for j in range(len(parameters.springs)):
+        line, further = ahead[j], change[j]
+        forces[j] = line[0] + line[1] * further
+        moved = line[2] + further
+        if line[4] * further < 0.0 or abs(moved) > line[3]:
+            force, slope, room = 0.0, 0.0, math.inf
+            sense = 1.0 if further >= 0.0 else -1.0
+            for i in range(THRESHOLDS):
+                w, y = values[j, first + i], parameters.thresholds[j, i]
+                z = bounded(bounded(stops[j, i] + line[2], y) + further, y)
+                stops[j, i], left = z, y - sense * z
+                force += w * z
+                slope += w if left > 0.0 else 0.0
+                room = min(room, left if left > 0.0 else math.inf)
+            line[1], line[3], line[4] = slope, room, sense
+            forces[j], moved = force, 0.0
+        line[0], line[2] = forces[j], moved
+
+
+@compiled
 def tangent(parameters: ModelParameters, state: RestoringState, j: int) -> float:
     """Find the identified stiffness of spring j with the sliders that stick, N/m."""
     n = len(parameters.springs)
@@ -347,7 +382,7 @@ def follow_specimen(
     for j in range(n):
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
-        past, of_past = state.past[j], 0.0
+        past = state.past[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
         phi[0] = 1.0
         copy(n, e, phi[1:])
@@ -357,16 +392,14 @@ def follow_specimen(
         slope = phi[error] = tangent(parameters, state, j)
         remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
         variance = motion_noise(parameters, state, j)
-        innovation = surplus = used = measured[j]
+        innovation = measured[j] - dot(q, found, phi)
+        surplus = measured[j] - dot(q, parameters.start[j], phi)
         for i in range(q):
-            state.before[j, i] = state.values[j, i]
-            innovation -= found[i] * phi[i]
-            surplus -= parameters.start[j, i] * phi[i]
             p[i, i] += parameters.drift[j, i]
+        copy(q, state.values[j], state.before[j])
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
-        for i in range(q):
-            variance += phi[i] * gain[i]
-            of_past += past[i] * phi[i]
+        variance += dot(q, phi, gain)
+        of_past = dot(q, past, phi)
         slides = abs(state.stops[j, MOVING_STOP]) == parameters.thresholds[j, MOVING_STOP]
         moves = slides or abs(rate[j]) > parameters.least[j]
         learned = q if moves else 1
@@ -383,7 +416,6 @@ def follow_specimen(
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
-        by_taken = by_left = 0.0
         for i in range(q):
             # a spring that does not move changes offset and error only (Schmidt-Kalman)
             taken[i] = gain[i] * per_variance if i < learned or i == error else 0.0
@@ -391,10 +423,9 @@ def follow_specimen(
             found[i] += taken[i] * innovation
             start = parameters.start[j, i]
             state.values[j, i] = found[i] + weight * (start - found[i])
-            used -= state.values[j, i] * phi[i]
-            by_taken += taken[i] * phi[i]
-            by_left += left[i] * phi[i]
-            last[i] = phi[i]
+        copy(q, phi, last)
+        used = measured[j] - dot(q, state.values[j], phi)
+        by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
         sharpen(q, taken, left, gain, p)
         of_past *= per_variance
         for i in range(q):
@@ -443,9 +474,10 @@ def widen(
 def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
     """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
     for i in range(q):
-        one, all_of_it = taken[i], gain[i]
-        for k in range(0, q, 4):
-            p[i, k] += one * left[k] - all_of_it * taken[k]
-            p[i, k + 1] += one * left[k + 1] - all_of_it * taken[k + 1]
-            p[i, k + 2] += one * left[k + 2] - all_of_it * taken[k + 2]
-            p[i, k + 3] += one * left[k + 3] - all_of_it * taken[k + 3]
+        own, row = taken[i], gain[i]
+        for k in range(0, q, 4):  # all four before the first is stored: it might be one of these
+            one = p[i, k] + (own * left[k] - row * taken[k])
+            two = p[i, k + 1] + (own * left[k + 1] - row * taken[k + 1])
+            three = p[i, k + 2] + (own * left[k + 2] - row * taken[k + 2])
+            four = p[i, k + 3] + (own * left[k + 3] - row * taken[k + 3])
+            p[i, k], p[i, k + 1], p[i, k + 2], p[i, k + 3] = one, two, three, four

@@ -24,6 +24,7 @@ from seft_ros.reference_force.restoring_model import (
     begin_model,
     follow_specimen,
     move_stops,
+    slide_on,
     slider_forces,
 )
 
@@ -110,6 +111,7 @@ class TargetState(NamedTuple):
     target: Annotated[Floats, "3N"]  # displacements and velocities of the target, and the push
     stops: Annotated[Floats, "n", THRESHOLDS]  # its stop operators
     future_stops: Annotated[Floats, "n", THRESHOLDS]  # those of its prediction
+    sliding: Annotated[Floats, "n", 5]  # see `slide_on`
     ground: Annotated[Floats, "n"]  # last ground acceleration
     by_motion: Annotated[Floats, "n", "2n"]  # force of each spring per displacement and velocity
     by_state: Annotated[Floats, 2, "N", "2N"]  # push of the model at the last sample and at this
@@ -456,6 +458,8 @@ def predict(
     for j in range(n):
         ground[j] = progress * known[0, j]
         copy(THRESHOLDS, state.stops[j], stops[j])
+        state.sliding[j] = 0.0
+        state.sliding[j, 3] = -1.0
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
     for i in range(len(state.line)):
@@ -472,8 +476,7 @@ def predict(
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
                 ground[i] = progress * (known[point, i] + part * rise)
-            move_stops(p.model, change, stops)
-            slider_forces(p.model, state.model.values, stops, sliders)
+            slide_on(p.model, state.model.values, change, stops, state.sliding, sliders)
             multiply_sized(columns, size + n, state.substep, z, new)
             for i in range(len(state.line)):
                 rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
