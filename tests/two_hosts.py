@@ -3,6 +3,7 @@
 Needs root (or the capabilities to make namespaces) and iproute2.
 """
 
+import array
 import contextlib
 import fcntl
 import itertools
@@ -159,17 +160,10 @@ def _without_offloads(interface):
     """Have the kernel compute checksums and cut packets itself: the relay sees what is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         for command in _OFFLOADS:
-            value = bytearray(struct.pack("II", command, 0))
-            address = (struct.pack("P", _address_of(value)),)
-            request = struct.pack("16s", interface.encode()) + address[0] + bytes(16)
+            value = array.array("I", [command, 0])
+            request = struct.pack("16sP", interface.encode(), value.buffer_info()[0]) + bytes(16)
             with contextlib.suppress(OSError):  # what it does not have can't be switched off
                 fcntl.ioctl(any_socket, _SIOCETHTOOL, request)
-
-
-def _address_of(buffer):
-    import ctypes
-
-    return ctypes.addressof((ctypes.c_char * len(buffer)).from_buffer(buffer))
 
 
 @pytest.fixture

@@ -34,6 +34,11 @@ CONTROL_TESTS = (
     f"{ROS}test/test_force_controller_stop.py",
     "-knot offline_loop",
 )
+FOLLOWER_TESTS = (
+    f"{ROS}test/test_force_controller_force_control.py",
+    f"{ROS}test/test_velocity_feedforward.py",
+    *CONTROL_TESTS,
+)
 FORCE_TESTS = tuple(
     f"{ROS}test/test_protection_{name}.py"
     for name in ("protected_force", "plausibility", "ramp_down")
@@ -44,10 +49,9 @@ TESTS = {
     f"{PLANT}seft_plant_sim/rig_watch.py": (f"{PLANT}test/test_rig_watch.py",),
     f"{PLANT}seft_plant_sim/command.py": (f"{PLANT}test/test_command.py",),
     "src/seft_msgs_py/seft_msgs_py/node/senders.py": ("src/seft_msgs_py/test/test_senders.py",),
-    f"{CONTROL}interlock.py": (
-        f"{ROS}test/test_force_controller_target_distance.py",
-        *CONTROL_TESTS,
-    ),
+    f"{CONTROL}interlock.py": CONTROL_TESTS,
+    f"{CONTROL}target_distance.py": (f"{ROS}test/test_force_controller_target_distance.py",),
+    f"{CONTROL}force_control.py": FOLLOWER_TESTS,
     f"{PROTECTION}protected_force.py": (*FORCE_TESTS, *CONTROL_TESTS),
     **{
         f"{JUDGE}{name}.py": DETECTOR_TESTS

@@ -235,6 +235,11 @@ class ReferenceResponse:
     acceleration: Floats
     force: Floats
 
+    @property
+    def states(self) -> Floats:
+        """States of a perfect test: all four, shape (N, 4, n)."""
+        return np.stack([*vars(self).values()], axis=1)
+
     def first(self, count: int) -> "ReferenceResponse":
         """Give the first steps."""
         return ReferenceResponse(*(part[:count] for part in vars(self).values()))

@@ -3,7 +3,8 @@
 import math
 
 import numpy as np
-from seft_ros.force_controller.interlock import Interlock, tracking_arrays
+from seft_ros.force_controller.interlock import Interlock
+from seft_ros.force_controller.target_distance import tracking_arrays
 
 AXES = ("east", "north")
 DT = 0.002

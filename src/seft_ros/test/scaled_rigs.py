@@ -24,12 +24,7 @@ def response_of(words):
     """Time, and displacement, velocity, acceleration and force of the linear test, (4, N)."""
     test = load(*words, config="demo")
     found = expected_response(test, planned_motion(test))
-    return test.timebase.dt, np.array(
-        [
-            getattr(found, name)[:, 0]
-            for name in ("displacement", "velocity", "acceleration", "force")
-        ]
-    )
+    return test.timebase.dt, found.states[:, :, 0].T
 
 
 @cache

@@ -11,7 +11,11 @@ from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
 from seft_plant_sim.judge.detectors import detectors_of
 from seft_ros.analysis.summary import detector_shares
 from seft_ros.bags.recording import Recording, Series
-from seft_ros.force_controller.interlock import begin_tracking, track_all, tracking_detector
+from seft_ros.force_controller.target_distance import (
+    begin_tracking,
+    track_all,
+    tracking_detector,
+)
 
 DT = 0.002
 

@@ -8,6 +8,7 @@ import pytest
 from experiments_at_hand import load
 from matplotlib.image import imread
 from recordings_at_hand import noise_recording, recording_of, shown, without
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Trip
 from seft_msgs_py.wire.topics import LOOP_TOPICS
@@ -36,10 +37,7 @@ def make_recording(axes=("x",), gain=1.0, delay=0.0, **changes):
     time = np.arange(COUNT) * DT
     packet = np.exp(-(((time - 1.0) / 0.3) ** 2)) * np.sin(2 * np.pi * 6.0 * time)
     ground = np.stack([packet * (1 + column) for column in range(len(axes))], axis=1)
-    exact = reference_response(experiment(axes), ground)
-    states = np.stack(
-        [getattr(exact, n) for n in ("displacement", "velocity", "acceleration", "force")], axis=1
-    )
+    states = reference_response(experiment(axes), ground).states
     states = gain * np.stack([delayed(states[:, row], delay, DT) for row in range(4)], axis=1)
     recording = recording_of(experiment(axes), ground, states, missed=0, wall_s=2.0)
     return dataclasses.replace(recording, **changes)
@@ -221,10 +219,8 @@ def test_what_can_not_be_compared_is_drawn_still(tmp_path):
 
 @pytest.mark.parametrize("axes", [("x", "y"), ("west/x", "east/x")])
 def test_what_the_rigs_have_zeroed_is_reported(axes):
-    names = ("displacement", "velocity", "acceleration", "force")
-
     def zeroed(*force):
-        rows = {name: [0.0] * len(force) for name in names}
+        rows = {name: [0.0] * len(force) for name in CHANNELS}
         return {"zeroed": {"samples": 500, "subtracted": rows | {"force": force}, "left": rows}}
 
     nodes = {"rig": zeroed(5.0, 0.0)}

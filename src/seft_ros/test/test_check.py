@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from experiments_at_hand import JHU, load
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.virtual.scheduler import Scheduler, VirtualClock
 from seft_plant_sim.simulated.rig import ConverterBoard
 from seft_ros.check.motion_checks import RigCheck
@@ -77,11 +78,7 @@ def times(row, factor):
 
 CHECKED = {
     *("rest", "direction", "dead time", "safe()", "calls"),
-    *(
-        f"{name}{what}"
-        for name in ("displacement", "velocity", "acceleration", "force")
-        for what in ("", " lag")
-    ),
+    *(f"{name}{what}" for name in CHANNELS for what in ("", " lag")),
 }
 
 
@@ -134,7 +131,7 @@ def test_what_is_beyond_its_limit_at_rest_in_mm_is_found_before_anything_moves(c
     assert f"/**: calibration.{name}_per_volt is wrong" in found["rest"].text
 
 
-@pytest.mark.parametrize("name", ["displacement", "velocity", "acceleration", "force"])
+@pytest.mark.parametrize("name", CHANNELS)
 def test_a_channel_that_is_3_ms_late_is_found_and_its_parameter_named(checked, name):
     found = wrong(checked(f"rig:simulated.sensors.{name}_lag:=0.003")[0])
     assert set(found) - {"dead time"} == {f"{name} lag"}

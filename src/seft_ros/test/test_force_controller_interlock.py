@@ -17,6 +17,7 @@ from interlocks_at_hand import (
     tracking,
     watched,
 )
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_ros.force_controller.force_control import ForceController
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
@@ -73,12 +74,8 @@ def test_what_is_no_number_never_gets_into_the_recursion(value):
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("row", range(4))
 def test_a_judged_sample_beyond_a_limit_trips(row, axis):
-    own, quantity = (
-        Scripted(1, 1),
-        ("displacement", "velocity", "acceleration", "force")[row],
-    )
     limits, unit = (0.25, 0.5, 20.0, 5000.0), ("m", "m/s", "m/s^2", "N")[row]
-    guarded = Interlock(own, AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
+    guarded = Interlock(Scripted(1, 1), AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
     raw = np.zeros((4, 2))
     raw[row, axis] = limits[row]
     assert np.any(stepped(guarded, 0, force(0.0, 0.0), raw))
@@ -87,7 +84,7 @@ def test_a_judged_sample_beyond_a_limit_trips(row, axis):
     assert not np.any(stepped(guarded, 7, force(0.0, 0.0), raw))
     assert guarded.step_index == 7
     assert guarded.reason == (
-        f"{quantity} {raw[row, axis]:g} {unit} on axis {AXES[axis]} is beyond the limit of "
+        f"{CHANNELS[row]} {raw[row, axis]:g} {unit} on axis {AXES[axis]} is beyond the limit of "
         f"{limits[row]:g} {unit}"
     )
 

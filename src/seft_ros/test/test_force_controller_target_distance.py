@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from seft_plant_sim.judge.guard import DRIVE_ROW
-from seft_ros.force_controller.interlock import (
+from seft_ros.force_controller.target_distance import (
     begin_tracking,
     off_target,
     track_all,

@@ -96,9 +96,7 @@ def test_the_exact_response_comes_with_the_motion(intake):
 def test_the_motion_that_is_tested_is_shown_as_in_the_report(intake, monkeypatch):
     # but for what is folded down, which only the motion's frequency tells
     monkeypatch.setattr(equivalent_motion, "without_folding", lambda samples, *_: samples)
-    exact = reference_response(EXPERIMENT, MOTION)
-    rows = [getattr(exact, name) for name in ("displacement", "velocity", "acceleration", "force")]
-    values = np.stack(rows, axis=1)
+    values = reference_response(EXPERIMENT, MOTION).states
     values[:, 3] *= 1.2
     wanted, samples = motion_difference(recording_of(EXPERIMENT, MOTION, values)), of_rig(values)
     intake.motion(motion(0, MOTION))

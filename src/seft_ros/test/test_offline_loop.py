@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from experiments_at_hand import load, simulated
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.compiled import kind_of
 from seft_plant_sim.simulated.sensors import BLOCK
@@ -11,11 +12,7 @@ from seft_ros.test_run.offline import simulate_test
 
 PERFECT = (
     "/**:sensors.adc_bits:=0",
-    *(
-        f"/**:sensors.{name}_{row}:=0"
-        for name in ("displacement", "velocity", "acceleration", "force")
-        for row in ("noise", "range")
-    ),
+    *(f"/**:sensors.{name}_{row}:=0" for name in CHANNELS for row in ("noise", "range")),
 )
 """Sensors that measure the truth."""
 QUIET = (*PERFECT, "/**:specimen.damping:=903.5")
@@ -59,8 +56,7 @@ def test_a_delay_of_10_ms_is_stable_below_a_mass_ratio_of_one_and_not_at_one():
 )
 def test_a_test_ends_with_the_sample_that_breaks_a_limit(words):
     recording, states = run(*words)
-    names = ("displacement", "velocity", "acceleration", "force")
-    limits = np.array([recording.experiment["rig"][f"limits.{name}"] for name in names])
+    limits = np.array([recording.experiment["rig"][f"limits.{name}"] for name in CHANNELS])
     beyond = (np.abs(states[:, :, 0]) > limits).any(axis=1)
     assert np.flatnonzero(beyond).tolist() == [len(states) - 1]
     assert recording.trip.step == len(states) - 1

@@ -218,9 +218,8 @@ LIMITS = {"displacement": 0.03, "velocity": 0.5, "acceleration": 50.0, "force": 
 
 def zeroed(left=0.0, **subtracted):
     """Description of a rig that has measured at rest."""
-    names = ("displacement", "velocity", "acceleration", "force")
-    rows = {name: [subtracted.get(name, 0.0), 0.0] for name in names}
-    lefts = {name: [0.0, left * (name == "force")] for name in names}
+    rows = {name: [subtracted.get(name, 0.0), 0.0] for name in LIMITS}
+    lefts = {name: [0.0, left * (name == "force")] for name in LIMITS}
     return {
         "parameters": {f"limits.{name}": limit for name, limit in LIMITS.items()},
         "zeroed": {"samples": 500, "subtracted": rows, "left": lefts},

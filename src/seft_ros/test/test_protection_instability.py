@@ -118,10 +118,9 @@ def test_in_a_perfect_test_both_accelerations_are_one_and_pass_butterworths_high
     guard = InstabilityWatch(known, test.axes, **group(section, "instability"))
     ground = motion(1, 600, n)
     exact = reference_response(test, ground)
-    states = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
     filtered, whole = np.empty((600, 2, n)), np.empty((600, n))
     parameters = guard.parameters._replace(average=0.0)  # no mean: exact
-    for step, state in enumerate(states):
+    for step, state in enumerate(exact.states):
         watch_step(parameters, guard.state, ground[step], state)
         filtered[step] = np.sqrt(guard.state.squares[:2])
         whole[step] = guard.state.result[-n:]

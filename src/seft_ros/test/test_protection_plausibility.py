@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.compiled import is_finite
 from seft_ros.protection.protected_force import PlausibleForce, is_plausible, not_finite
 
@@ -94,8 +95,8 @@ def test_only_what_breaks_a_limit_is_a_fault(values):
 def test_a_measured_state_that_is_not_finite_is_named(row, value):
     state = np.zeros((4, 2))
     state[row, 1] = value
-    name = ("displacement", "velocity", "acceleration", "force")[row]
-    assert not_finite(state, ("north", "east")) == f"measured {name} is {value} on axis east"
+    said = f"measured {CHANNELS[row]} is {value} on axis east"
+    assert not_finite(state, ("north", "east")) == said
     assert not is_finite(state, 0)
     assert is_finite(state, row + 1)
 

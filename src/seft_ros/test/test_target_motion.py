@@ -60,10 +60,9 @@ def test_exact_test_is_its_own_target(config):
     tested, method = target("ground_motion:synthetic.duration:=8.0", config=config)
     ground = motion_of(tested)
     exact = reference_response(tested, ground.samples)
-    state = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], axis=1)
     window = 1 + method.preview
     points = np.array(
-        [method.step(ground.known[k : k + window], one)[0] for k, one in enumerate(state)]
+        [method.step(ground.known[k : k + window], one)[0] for k, one in enumerate(exact.states)]
     )
     assert nrmse(points[:, 0], exact.displacement) < 2e-4
     assert nrmse(points[:, 2], exact.force) < 2e-3
@@ -112,13 +111,12 @@ def test_target_starts_where_the_specimen_is():
 def test_target_comes_to_rest_as_its_pace_goes_to_zero():
     tested, method = target()
     ground = motion_of(tested).known
-    exact = reference_response(tested, motion_of(tested).samples)
+    states = reference_response(tested, motion_of(tested).samples).states
     window, begin = 1 + method.preview, 2000
     points = np.zeros((window, 3, 1))
     for k in range(begin + 1000):
-        state = np.array([exact.displacement[k], exact.velocity[k], exact.acceleration[k]])
         if k < begin:
-            measured = np.vstack([state, exact.force[k]])
+            measured = states[k]
         else:  # the specimen follows the target
             a = (points[1, 2] - 800.3 * points[1, 1] - K * points[1, 0]) / 52.7
             measured = np.array([points[1, 0], points[1, 1], a, points[1, 2]])

@@ -8,6 +8,7 @@ from experiments_at_hand import load
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.judge.valve_model import ValveModel
+from seft_ros.force_controller.force_control import slow_down, stop_steps
 from seft_ros.force_controller.oil_column import crossover
 from seft_ros.force_controller.velocity_feedforward import (
     DELAY_ERROR,
@@ -15,7 +16,6 @@ from seft_ros.force_controller.velocity_feedforward import (
     VelocityFeedforward,
     feedforward_step,
 )
-from seft_ros.protection.protected_force import slow_down, stop_steps
 
 DT = 0.002
 valves = pytest.mark.parametrize(

@@ -148,8 +148,7 @@ def effect_of_force(experiment: Experiment, factor: float) -> float | None:
         return None
     dt, axes = experiment.timebase.dt, experiment.axes
     motion = GroundMotion(experiment["ground_motion"], axes, experiment.timebase)
-    exact = reference_response(structure, motion.samples)
-    samples = np.stack([exact.displacement, exact.velocity, exact.acceleration, exact.force], 1)
+    samples = reference_response(structure, motion.samples).states
     return CalibrationEffect(structure, samples, dt).of_force_scale(np.full(len(axes), factor))
 
 

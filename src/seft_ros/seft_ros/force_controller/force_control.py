@@ -1,5 +1,6 @@
-"""Force control: the interface of all controllers, and the controller by transfer functions."""
+"""Force control: the interface of all controllers, that by transfer functions, and followers."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Protocol
@@ -13,8 +14,8 @@ from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multip
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
+from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.protection.protected_force import stop_steps
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
@@ -358,6 +359,77 @@ def horizon_of(section: dict[str, Any], dt: float, needed: int, driven: str) -> 
             f"but the {driven} need {needs:.3g} s of the future motion; make it longer"
         )
     return horizon
+
+
+STOP_TIME = 0.1
+"""Longest duration of a stop along the plan, s: ten periods of an oil column of 100 Hz."""
+
+
+def stop_steps(points: int, dt: float) -> int:
+    """Give the steps of a stop: `STOP_TIME`, or twice a shorter plan of so many points."""
+    return 2 * min(points - 1, round(STOP_TIME / 2 / dt))
+
+
+@compiled
+def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
+    """Slow a target down to rest, on its path and without a sample.
+
+    The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
+    cos(pi t / T)) / 2 and its integral theta, the slowed target is at x*(theta), with the velocity
+    w v*(theta) and the force f*(theta). So it needs T / 2 of the plan.
+
+    Parameters
+    ----------
+    plan : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    steps : int
+        Until rest, see `stop_steps`.
+    dt : float
+        Sampling period, s.
+    slowed : ndarray
+        The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
+    """
+    for j in range(len(slowed)):
+        taken = min(j, steps)
+        phase = math.pi * taken / steps
+        theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
+        before = min(int(theta), len(plan) - 2)
+        for row in range(3):
+            factor = left_open(taken, steps) if row == 1 else 1.0
+            for i in range(slowed.shape[2]):
+                now, then = plan[before, row, i], plan[before + 1, row, i]
+                slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
+        part = theta - before  # the velocity is linear between the points
+        for i in range(slowed.shape[2]):
+            rise = plan[before + 1, 1, i] - plan[before, 1, i]
+            slowed[j, 0, i] -= 0.5 * part * (1.0 - part) * dt * rise
+
+
+@compiled
+def planned_acceleration(points: Floats, i: int, dt: float) -> float:
+    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
+    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
+    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
+    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
+
+
+@compiled
+def as_sample(points: Floats, dt: float, sample: Floats) -> None:
+    """Give the sample that a specimen on its target would show.
+
+    Parameters
+    ----------
+    points : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    dt : float
+        Sampling period, s.
+    sample : ndarray
+        Displacement, velocity, acceleration and force, shape (4, n). The result.
+    """
+    for i in range(sample.shape[1]):
+        sample[0, i], sample[1, i] = points[0, 0, i], points[0, 1, i]
+        sample[2, i] = planned_acceleration(points, i, dt)
+        sample[3, i] = points[0, 2, i]
 
 
 GAIN_ERROR, DELAY_ERROR = range(2)

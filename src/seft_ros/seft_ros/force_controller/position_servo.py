@@ -40,10 +40,10 @@ from seft_ros.force_controller.force_control import (
     GAIN_ERROR,
     TargetFollower,
     horizon_of,
+    slow_down,
 )
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
-from seft_ros.protection.protected_force import slow_down
 from seft_ros.reference_force.observers import sensor_noise
 
 SERVO_ERRORS = 3

@@ -35,11 +35,13 @@ from seft_ros.force_controller.force_control import (
     DELAY_ERROR,
     GAIN_ERROR,
     TargetFollower,
+    as_sample,
     horizon_of,
+    planned_acceleration,
+    slow_down,
 )
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
-from seft_ros.protection.protected_force import as_sample, planned_acceleration, slow_down
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 

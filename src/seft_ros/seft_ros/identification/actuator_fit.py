@@ -61,7 +61,6 @@ class OilBalance:
         drive = np.add.reduceat(np.abs(self._drive) ** 2, self._blocks)
         self._size_of_drive = np.sqrt(np.maximum(drive * self._counts, 1e-30))
         f = np.add.reduceat(self._hz[self._used], self._blocks) / self._counts
-        self._frequency = f
         half = np.maximum(_WIDTH * f, _LEAST_WIDTH)
         self._around = np.searchsorted(f, f - half), np.searchsorted(f, f + half, "right")
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2

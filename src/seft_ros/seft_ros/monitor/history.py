@@ -149,8 +149,6 @@ class Envelope:
 
         No step may be before earlier ones.
         """
-        if not len(values):
-            return
         if not self.count:
             self.origin = first
         last = first + len(values) - 1 - self.origin

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node import host
-from seft_msgs_py.wire.topics import bare, rig_name
+from seft_msgs_py.wire.topics import NODES, bare, rig_name
 
 from seft_ros.test_run.node_starter import NodeStarter
 
@@ -161,13 +161,8 @@ class ProcessLayout:
         return Placement(nodes, lockstep=lockstep) if helps else None
 
 
-MODULES = {
-    "ground_motion": "seft_ros.nodes.ground_motion_node",
-    "reference_force": "seft_ros.nodes.reference_force_node",
-    "force_controller": "seft_ros.nodes.force_controller_node",
-    "rig": "seft_plant_sim.rig_node",
-    "supervisor": "seft_ros.nodes.supervisor_node",
-    "recorder": "seft_ros.nodes.recorder_node",
+MODULES = {node: f"seft_ros.nodes.{node}_node" for node in NODES} | {
+    "rig": "seft_plant_sim.rig_node"
 }
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
 COMPOSED = "seft_ros.nodes.loop_node"

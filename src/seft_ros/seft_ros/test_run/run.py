@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
@@ -234,23 +234,13 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
     return path
 
 
-class Ending(NamedTuple):
-    """How a run ended: the fault (empty if the bag has it), and the folder of its bag.
-
-    The folder is not the planned one if the recorder lost that.
-    """
-
-    fault: str
-    bag: Path
-
-
 def run_experiment(
     experiment: Experiment,
     bag: Path,
     progress: _Progress,
     layout: ProcessLayout | None = None,
     external: Collection[str] = (),
-) -> Ending:
+) -> tuple[str, Path]:
     """Run a test over DDS and record it.
 
     Parameters
@@ -266,6 +256,13 @@ def run_experiment(
     external : collection of str
         Nodes that someone else starts and ends; the experiment needs no section of them. Of
         several rigs those of one or of all: ``east/rig`` or ``rig``.
+
+    Returns
+    -------
+    fault : str
+        Empty if there was none, or if the bag has it.
+    bag : Path
+        The folder of its bag: not the planned one if the recorder lost that.
 
     Raises
     ------
@@ -312,4 +309,4 @@ def run_experiment(
                 bag = processes.bag = Path(saved)
     if not bag.exists():
         raise ExperimentError(fault or "the recorder made no bag")
-    return Ending(fault, bag)
+    return fault, bag
