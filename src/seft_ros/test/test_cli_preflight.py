@@ -14,12 +14,13 @@ DELAY = ("-p", "actuator.kind:=delay", "-p", "actuator.delay:=0.01", *WITHIN)
 RATIO = "reference_force:mass_ratio:="
 UNKNOWN = ("--external", "rig", "-p", "actuator.flow_gain:=0.0")
 KEYS = {
-    *("verdict", "reasons", "promise", "plant", "compensation", "mass_ratio"),
+    *("verdict", "reasons", "basis", "promise", "plant", "compensation", "mass_ratio"),
     *("critical_mass_ratio", "crossing_hz", "dead_time_s", "critical_delay_s"),
-    *("delay_crossing_hz", "gain", "sure_delay_s", "robust_gain", "local_stiffness"),
-    *("local_stiffness_followed", "assumed_delay_error_s", "false_damping_ratio"),
-    *("frequency_error", "modes", "growth_rate", "dominant_hz", "states", "expected_peaks"),
-    *("proposed_limits", "warnings", "unfit", "yielding_error"),
+    *("critical_added_delay_s", "delay_crossing_hz", "gain", "sure_delay_s", "robust_gain"),
+    *("local_stiffness", "local_stiffness_followed", "assumed_delay_error_s"),
+    *("false_damping_ratio", "frequency_error", "modes", "spectral_radius", "growth_rate"),
+    *("dominant_hz", "states", "expected_peaks", "proposed_limits", "warnings"),
+    *("unfit", "yielding_error"),
 }
 
 
@@ -40,9 +41,11 @@ FAR = "warning: limits are "
 def test_ten_milliseconds_end_at_the_known_mass_ratio(preflight):
     status, found = preflight(JHU, *DELAY, "-p", f"{RATIO}0.5")
     assert set(found) == KEYS
-    assert (status, found["verdict"]) == (0, "stable")
+    assert (status, found["verdict"], found["basis"]) == (0, "stable", "exact")
     assert found["critical_mass_ratio"] == pytest.approx(0.94, abs=0.02)
-    assert found["critical_delay_s"] > found["dead_time_s"] == 0.010
+    assert found["dead_time_s"] == 0.010
+    added = found["critical_delay_s"] - found["dead_time_s"]
+    assert found["critical_added_delay_s"] == pytest.approx(added) and added > 0
     unused = ("local_stiffness_followed", "assumed_delay_error_s", "sure_delay_s", "robust_gain")
     assert [found[name] for name in unused] == [None] * 4
     assert found["local_stiffness"]["planned"] == 1.0
@@ -56,7 +59,7 @@ def test_the_exit_status_is_the_verdicts(preflight, ratio, verdict, expected):
     status, found = preflight(JHU, *DELAY, "-p", f"{RATIO}{ratio}")
     assert (status, found["verdict"]) == (expected, verdict)
     assert found["reasons"]
-    assert (found["growth_rate"] > 0) is (verdict == "unstable")
+    assert (found["spectral_radius"] > 1) is (verdict == "unstable")
 
 
 def test_for_people_there_is_a_table_and_every_reason_in_a_line(seft):

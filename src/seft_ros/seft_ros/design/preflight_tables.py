@@ -231,11 +231,12 @@ def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
     """Verdict, margins, predicted errors: ``seft preflight --json``; in Hz and s.
 
     ``critical_delay_s`` is the whole dead time of the actuator at which the planned test turns
-    unstable: of an actuator of kind `delay` the delay itself, of a valve that of the valve. None:
-    no end was found within ``searched``, or, of a whole range, the method does not use the quantity
-    or the planned test is unstable. ``local_stiffness`` is that of the specimen over the assumed
-    one, ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s``
-    and ``robust_gain`` hold for all errors that the controller may assume of the valves.
+    unstable: of an actuator of kind `delay` the delay itself, of a valve that of the valve.
+    ``critical_added_delay_s`` is this less the planned one. None: no end was found within
+    ``searched``, or, of a whole range, the method does not use the quantity or the planned test is
+    unstable. ``local_stiffness`` is that of the specimen over the assumed one,
+    ``local_stiffness_followed`` the same once the method has adapted to it. ``sure_delay_s`` and
+    ``robust_gain`` hold for all errors that the controller may assume of the valves.
     """
     margins = found.margins
     critical, dead_time = margins.mass_ratio, margins.dead_time
@@ -244,6 +245,7 @@ def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
         "reasons": found.reasons,
+        "basis": "exact",
         "promise": found.promise,
         "plant": test.rig.plant.source,
         "compensation": test.section["compensation.method"],
@@ -252,6 +254,7 @@ def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
         "crossing_hz": critical and critical.hz,
         "dead_time_s": test.dead_time,
         "critical_delay_s": dead_time and dead_time.value,
+        "critical_added_delay_s": dead_time and dead_time.value - test.dead_time,
         "delay_crossing_hz": dead_time and dead_time.hz,
         "gain": _range(margins.gain),
         "sure_delay_s": margins.sure_dead_time and margins.sure_dead_time.value,
@@ -262,6 +265,7 @@ def summarise_preflight(test: PlannedTest, found: Preflight) -> dict[str, Any]:
         "false_damping_ratio": first.get("false_damping"),
         "frequency_error": first.get("frequency_error"),
         "modes": modes,
+        "spectral_radius": abs(test.worst()),
         "growth_rate": test.growth_rate(),
         "dominant_hz": test.hz(),
         "states": sum(len(loop.matrix) for loop in test.loops()),
