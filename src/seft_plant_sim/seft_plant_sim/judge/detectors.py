@@ -271,7 +271,7 @@ def look(
     threshold: float,
 ) -> bool:
     """Compare a detector's value with its threshold; say whether it has persisted and acts."""
-    if threshold > 0.0 and seen > state.shares[row, i] * threshold:  # a division takes longer
+    if 0.0 < threshold < np.inf and seen > state.shares[row, i] * threshold:  # no division
         state.shares[row, i] = seen / threshold
     count = state.counts[row, i]
     state.counts[row, i] = count = count + 1 if seen > threshold > 0.0 else max(count - 1, 0)

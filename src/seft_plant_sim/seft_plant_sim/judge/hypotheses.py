@@ -278,10 +278,10 @@ def breaks(c: Record, b: Record, size: float) -> bool:
 
     What yields, or leaves a stop, gains no more; friction turns when the motion does.
     """
-    v, gained = b.value[0, V], abs(b.restoring[0] - b.restoring[1])
-    moves = v * v > NOTICEABLE * b.variance[0, V]
-    sure = abs(size) - gained
-    return moves and size * v < 0.0 < sure and sure * sure > NOTICEABLE * c.covariance[3, 3]
+    least, now = math.sqrt(NOTICEABLE * b.variance[0, V]), c.seen[V]
+    opposes = min(b.value[0, V], now) > least if size < 0.0 else max(b.value[0, V], now) < -least
+    lost = abs(size) - abs(b.restoring[0] - b.restoring[1])
+    return opposes and lost > math.sqrt(NOTICEABLE * c.covariance[3, 3])
 
 
 @compiled
@@ -289,4 +289,4 @@ def log_size(size: float, variance: float, orders: float, usual: float) -> float
     """Prior of the size of an event: of any order of magnitude, rare beyond what is usual."""
     deviation = math.sqrt(variance)
     whole = abs(size) + deviation
-    return -math.log(2.0 * whole) - orders - max(math.log(whole / (usual + deviation)), 0.0)
+    return -math.log(2.0 * whole) - orders - math.log(max(whole / (usual + deviation), 1.0))
