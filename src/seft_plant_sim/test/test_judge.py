@@ -263,7 +263,6 @@ def test_a_force_that_turns_as_was_asked_is_not_wrong_though_the_specimen_sticks
     np.testing.assert_array_equal(judged, samples)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
 def branch_of(restoring, blur, value=(0.0, 0.0, 0.0, 0.0)):
     """A history with r and its variance at the last two samples, and the last value."""
     b = np.zeros(1, BRANCH).view(np.recarray)[0]
@@ -302,6 +301,7 @@ def test_a_specimen_that_moves_on_loses_more_force_than_it_gained_only_where_it_
     assert not breaks(room, gains, -sign * 80.0)  # friction turns
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_value_at_its_end_is_beyond_it_if_the_others_say_so_and_else_wrong(sign):
     samples, right, flow = motion()
     ranges = WIDE.copy()
