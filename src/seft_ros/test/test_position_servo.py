@@ -149,22 +149,28 @@ def test_a_servo_is_not_driven_as_a_valve():
         build_blocks(load(*words, "reference_force:compensation.method:=target_motion"))
 
 
-@pytest.mark.parametrize(
-    "words", [("limits.force:=700.0",), ('rig:faults:=["force scale -1.0 at 4.3"]',)]
-)
-def test_after_a_trip_it_stands_where_its_last_command_was(words):
-    experiment = told(*words)
+def test_after_a_trip_it_stands_where_its_last_command_was():
+    experiment = told("limits.force:=700.0")
     blocks = build_blocks(experiment)
     recording = simulate_test(experiment, blocks)
     assert recording.trip is not None
     plan = blocks.force_controller.stop(blocks.force_controller.step_index)
     stands = blocks.rig.hardware.sample[0, 0]
     static = 0.995  # of the response
-    last = plan[-1, 0] if blocks.force_controller.step_index >= 0 else recording_command(recording)
-    assert abs(last) > 1e-3
-    assert stands == pytest.approx(static * last, abs=2e-4)
+    assert abs(plan[-1, 0]) > 1e-3
+    assert stands == pytest.approx(static * plan[-1, 0], abs=2e-4)
     jumps = np.abs(np.diff(plan[:, 0], prepend=plan[0, 0]))
     assert jumps.max() < 1e-3
+
+
+def test_after_wrong_samples_it_slows_down_as_was_planned_before_them():
+    sound, experiment = simulated(told()), told('rig:faults:=["force scale -1.0 at 4.3"]')
+    blocks = build_blocks(experiment)
+    recording = simulate_test(experiment, blocks)
+    assert recording.trip.reason.endswith("force_wrong")
+    assert abs(recording.states.values[-1, 1, 0]) > 0.05
+    assert recording.simulated.force_peak == sound.simulated.force_peak
+    assert abs(blocks.rig.hardware.sample[1, 0]) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -182,10 +188,6 @@ def test_a_stop_behind_a_servo_does_not_end_the_test():
     gap = "rig:simulated.specimen.gap."
     words = "rig:simulated.specimen.kind:=gap", f"{gap}width:=0.002", f"{gap}stiffness:=2e6"
     assert simulated(told(*words)).trip is None
-
-
-def recording_command(recording):
-    return recording.series["valve_command"].values[-2, 0, 0]
 
 
 def test_a_command_that_jumps_ends_the_test_before_it_is_sent():
