@@ -145,6 +145,12 @@ def test_friction_spoils_neither_mass_nor_bias():
     assert fit.bias[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
+def test_overtones_that_a_filter_buries_in_noise_do_not_spoil_the_mass():
+    known = "/**:calibration.displacement_filter:=60.0"
+    fit = multisine_of(*FRICTION, known, "rate:=2000.0").fit
+    assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
+
+
 def test_a_multisine_test_under_which_friction_holds_the_specimen_says_so():
     storeys = SPECIMEN + "springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
     held = (storeys, SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=300.0")

@@ -359,7 +359,8 @@ def _lines(
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w, nothing = np.tile(2 * np.pi * response.frequencies_hz, n), np.zeros_like(noise)
-    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0], nothing[0])
+    lines, errors = amplitude[:, np.newaxis], noise[:, np.newaxis]
+    of = Harmonics(w, lines, errors, nothing, nothing[:, 0, 0], nothing[0])
     return of, used
 
 
@@ -398,7 +399,7 @@ def rough_calibration(
     experiment, (of, _) = recording.experiment, _lines(recording, band)
     low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
     of = Harmonics(
-        of.w[low], of.overtones[low], of.noise[low], of.mean[low], of.time[low], of.rounding
+        of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
     ).passed(_unfiltered(filters, experiment))
     fit = fit_multisine(of, np.ones((len(of.w), 2), complex))
     fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0

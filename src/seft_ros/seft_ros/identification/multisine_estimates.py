@@ -57,7 +57,7 @@ _STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement
 _POINTS = 512  # of a cycle
 
 
-def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complexes:
+def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes, noise: Floats) -> Complexes:
     """Force of friction in excess of that with the mean effective stiffness.
 
     Parameters
@@ -67,6 +67,8 @@ def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complex
     x, a, f : ndarray
         Displacement, acceleration and force of one axis, aligned, shape (m, H): amplitudes of the
         sine and of its overtones, in the order of their frequencies; 0: not evaluated.
+    noise : ndarray
+        Standard errors of the force, shape (m, H), N.
 
     Returns
     -------
@@ -83,8 +85,8 @@ def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complex
         k = order - 1
         own = np.stack([a[:, k], x[:, k], 1j * order * w * x[:, k]], axis=1)
         seen = f[:, k] != 0.0
-        rows.append(np.concatenate([own, stops[:, k]], axis=1)[seen])
-        wanted.append(f[seen, k])
+        rows.append((np.concatenate([own, stops[:, k]], axis=1) / noise[:, [k]])[seen])
+        wanted.append((f[:, k] / noise[:, k])[seen])
     columns, force = np.concatenate(rows), np.concatenate(wanted)
     real = np.concatenate([columns.real, columns.imag])
     size = np.maximum(np.linalg.norm(real, axis=0), 1e-300)
@@ -119,8 +121,8 @@ class Harmonics:
     overtones : ndarray
         Amplitudes of displacement, velocity, acceleration and force, complex, shape (m, H, 4, n):
         of the sine and of its overtones; 0: not evaluated.
-    noise : ndarray
-        Standard error of the real and of the imaginary part of a sine, shape (m, 4, n).
+    errors : ndarray
+        Standard error of their real and imaginary parts, alike.
     mean : ndarray
         Mean over whole cycles, shape (m, 4, n).
     time : ndarray
@@ -131,7 +133,7 @@ class Harmonics:
 
     w: Floats
     overtones: Complexes
-    noise: Floats
+    errors: Floats
     mean: Floats
     time: Floats
     rounding: Floats
@@ -139,13 +141,18 @@ class Harmonics:
     def passed(self, response: Callable[[Floats], Complexes]) -> "Harmonics":
         """Give those of channels after filters of a response, (..., 4, n), at w of shape (...)."""
         orders = np.arange(1, 1 + self.overtones.shape[1])
-        overtones = self.overtones * response(np.outer(self.w, orders))
-        return replace(self, overtones=overtones, noise=self.noise * np.abs(response(self.w)))
+        passed = response(np.outer(self.w, orders))
+        return replace(self, overtones=self.overtones * passed, errors=self.errors * np.abs(passed))
 
     @property
     def amplitude(self) -> Complexes:
         """Amplitudes of the sines, shape (m, 4, n)."""
         return self.overtones[:, 0]
+
+    @property
+    def noise(self) -> Floats:
+        """Standard errors of the sines, shape (m, 4, n)."""
+        return self.errors[:, 0]
 
 
 def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
@@ -182,7 +189,7 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
     return Harmonics(
         2 * np.pi * np.array([sine.frequency for sine in sines]),
         np.reshape(overtones, (len(sines), _OVERTONES, *samples.shape[1:])),
-        np.reshape(noise, shape),
+        np.repeat(np.reshape(noise, shape)[:, np.newaxis], _OVERTONES, axis=1),
         np.reshape(mean, shape),
         middle,
         np.reshape(np.min(rounding, axis=0), shape[1:]),
@@ -316,7 +323,7 @@ def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
     for i in range(n):
         force = of.amplitude[:, 3, i]
         own, k = _inertia(of, force, acceleration, adopted, i)
-        even = force - _uneven(of, i, lag[2, i], own.value[-1])
+        even = force - _uneven(of, i, lag[2, i], own.value[-1], adopted[[0, 2], i])
         own, k = _inertia(of, even, acceleration, adopted, i)
         mass[i], stiffness[i] = own.value[:n], k
         common = math.hypot(folded[1], *of.rounding[[0, 2, 3], i])
@@ -404,8 +411,14 @@ def aligned(
     return Fit(value, fit.error, fit.left), np.exp(-powers @ found)
 
 
-def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) -> Complexes:
-    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,)."""
+def _uneven(
+    of: Harmonics, i: int, late_acceleration: float, late_force: float, scale: Floats
+) -> Complexes:
+    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,).
+
+    The motion's overtones are those of displacement and acceleration by their noise: a filter of
+    one that is taken back would bury them. ``scale`` is that of both, (2,).
+    """
     uneven = np.zeros(len(of.w), dtype=np.complex128)
     if of.overtones.shape[1] == 1:  # of a spectrum
         return uneven
@@ -413,8 +426,12 @@ def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) 
     orders = np.arange(1, of.overtones.shape[1] + 1)
     s = 1j * of.w[own, np.newaxis] * orders
     x, _, a, f = np.moveaxis(of.overtones[own, :, :, i], 2, 0)
+    of_x, _, of_a, of_f = np.moveaxis(of.errors[own, :, :, i], 2, 0)
     a, f = a * np.exp(s * late_acceleration), f * np.exp(s * late_force)
-    uneven[own] = uneven_force(of.w[own], x, a, f) * np.exp(-s[:, 0] * late_force)
+    squares = (s * s).real
+    share = 1.0 / (1.0 + (squares * of_x / scale[0] / (of_a / scale[1])) ** 2)
+    x = share * x + (1.0 - share) * a / squares * scale[0] / scale[1]
+    uneven[own] = uneven_force(of.w[own], x, a, f, of_f) * np.exp(-s[:, 0] * late_force)
     return uneven
 
 
