@@ -19,7 +19,7 @@ def with_noise(values, noise, seed=1):
     return values + noise * (rng.normal(size=values.shape) + 1j * rng.normal(size=values.shape))
 
 
-def lines(filters=(), common=(), sticks=0.0):
+def lines(filters=(), common=(), sticks=0.0, noise=NOISE):
     """Lines of two drives, with these filters (row, axis, Hz, damping), and one that all have."""
     hz = np.tile(np.arange(0.75, 195.0, 0.5), 2)
     s = (2j * np.pi * hz)[:, np.newaxis]
@@ -40,7 +40,7 @@ def lines(filters=(), common=(), sticks=0.0):
                 :, :, np.newaxis
             ]
         )
-    noise = np.broadcast_to(NOISE, whole.shape)
+    noise = np.broadcast_to(noise, whole.shape)
     return 2 * np.pi * hz, with_noise(whole * passed, noise), noise, known
 
 
@@ -72,6 +72,19 @@ def test_a_filter_of_a_single_channel_is_found_and_no_other(row, sticks, filters
         late = np.angle(off) / w  # of a lag beside, which the multisine test finds
         assert abs(late[1] - late[0]) < 0.1 / w[1]
         assert 0.0 < found.filter_error[row, 1] < 0.1 * natural
+
+
+def test_what_a_filter_buries_in_noise_says_neither_where_it_is_nor_which():
+    noisy = NOISE * np.array([20.0, 1.0, 1.0, 1.0])[:, np.newaxis]  # above 70 Hz
+    *of, _ = lines([(DISPLACEMENT, 1, 60.0, 0.7071)], noise=noisy)
+    found = found_in(*of, dt=DT / 4)
+    assert np.argwhere(found.filter).tolist() == [[DISPLACEMENT, 1]]
+    for value, error, true in (
+        (found.filter, found.filter_error, 60.0),
+        (found.filter_damping, found.filter_damping_error, 0.7071),
+    ):
+        assert value[DISPLACEMENT, 1] == pytest.approx(true, abs=4 * error[DISPLACEMENT, 1])
+        assert error[DISPLACEMENT, 1] < 0.05 * true
 
 
 @pytest.mark.parametrize("sticks", [0.0, STICKS])

@@ -77,7 +77,7 @@ def identified(experiment):
 
 
 @cache
-def multisine_of(*words, config="jhu"):
+def multisine_of(*words, config="jhu", elsewhere=None):
     """Run the multisine test of a configuration once, with known actuators."""
     experiment = load(*words, config=config)
     found = identified(experiment)
@@ -89,7 +89,12 @@ def multisine_of(*words, config="jhu"):
     assert recording.trip is None
     known = all_known(load(config=config))
     return MultisineResult.of_recording(
-        plan, recording, sines, found, Calibrated(known, known, 0.0, False)
+        plan,
+        recording,
+        sines,
+        found,
+        Calibrated(known, known, 0.0, False),
+        tilt_elsewhere=elsewhere and tuple(np.array(each) for each in elsewhere),
     )
 
 
@@ -145,6 +150,22 @@ def test_friction_spoils_neither_mass_nor_bias():
     assert fit.bias[FORCE, 0] == pytest.approx(5.0, abs=1.0)
 
 
+def test_of_a_specimen_that_rubs_the_damping_is_found_beside_its_friction():
+    found = multisine_of(*FRICTION)
+    assert_known(found.fit.damping[0, 0], found.fit.damping_error[0, 0], 800.3, 80.0)
+    assert found.facts()["specimen.damping"] == [pytest.approx(800.3, rel=0.3)]
+    assert [note for note in multisine_notes(found, ("x",)) if "specimen rubs" in note]
+    linear = multisine_of()
+    assert "specimen.damping" not in linear.facts()  # the open loop says it better
+    assert not [note for note in multisine_notes(linear, ("x",)) if "specimen rubs" in note]
+
+
+def test_overtones_that_a_filter_buries_in_noise_do_not_spoil_the_mass():
+    known = "/**:calibration.displacement_filter:=60.0"
+    fit = multisine_of(*FRICTION, known, "rate:=2000.0").fit
+    assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
+
+
 def test_a_multisine_test_under_which_friction_holds_the_specimen_says_so():
     storeys = SPECIMEN + "springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
     held = (storeys, SPECIMEN + "kind:=friction", SPECIMEN + "friction.force:=300.0")
@@ -180,6 +201,20 @@ def test_several_axes_give_the_matrix_and_a_tilt():
     again = multisine_of(*true("three_storey_frame"), tilt, *known, config="three_storey_frame")
     assert not again.calibrated.changes
     assert again.calibrated.parameters() == section
+
+
+def test_a_tilt_is_that_of_all_motions_that_show_it():
+    tilt = SENSORS + "tilt:=[1.0, 0.0, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0, 1.0]"
+    found = multisine_of(tilt, config="three_storey_frame").fit
+    derived = multisine_of(tilt, "/**:sensors.velocity:=derived", config="three_storey_frame").fit
+    assert found.tilt_error[1, 0] < 0.8 * derived.tilt_error[1, 0]  # by the velocity
+    assert_known(derived.tilt[1, 0], derived.tilt_error[1, 0], 0.03, 2e-3)
+
+    seen = ((1.0, 0.0, 0.0), (0.0304, 1.0, 0.0), (0.0, 0.0, 1.0))
+    error = tuple(tuple(1e-4 * (i != j) for j in range(3)) for i in range(3))
+    both = multisine_of(tilt, config="three_storey_frame", elsewhere=(seen, error)).fit
+    assert 0.0 < both.tilt_error[1, 0] < 1e-4
+    assert both.tilt[1, 0] == pytest.approx(0.0304, abs=1e-4)
 
 
 def test_velocity_and_acceleration_against_the_displacement_are_right():

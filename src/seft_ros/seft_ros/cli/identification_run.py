@@ -268,9 +268,10 @@ class Identification:
         of_recording = partial(calibrated.MultisineResult.of_recording, plan, recording, sines)
         first = of_recording(found, known, filters)
         filters = calibrated.found_filters(opened, band, first)
-        known = of_recording(found, known, filters, self.weighed).calibrated
+        told = filters, self.weighed, calibrated.tilt_in(opened, band, filters)
+        known = of_recording(found, known, *told).calibrated
         found = identified.identify_from_recordings(known.corrected(opened), None, band)
-        self._multisine = of_recording(found, known, filters, self.weighed)
+        self._multisine = of_recording(found, known, *told)
 
     def _run_multisine_test(self, name: str, commands: np.ndarray) -> bool:
 

@@ -37,6 +37,7 @@ from seft_ros.identification.multisine_estimates import (
     MultisineFit,
     fit_multisine,
     harmonics,
+    tilt_shown,
 )
 from seft_ros.identification.rig_tests import frequency_response, known_mass, motion_spectra
 
@@ -252,11 +253,13 @@ class MultisineResult:
         known: Calibrated,
         filters: ChannelFilters | None = None,
         weighed: Sequence[float] = (),
+        tilt_elsewhere: tuple[Floats, Floats] | None = None,
     ) -> "MultisineResult":
         """Evaluate the recording of a multisine test.
 
         ``found`` was identified from a recording that ``known`` has corrected; ``filters`` are
-        those of the channels, by default as known. ``weighed`` are the masses of the axes, kg.
+        those of the channels, by default as known. ``weighed`` are the masses of the axes, kg,
+        ``tilt_elsewhere`` the tilt by `tilt_in`.
 
         Raises
         ------
@@ -272,7 +275,8 @@ class MultisineResult:
         times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
         dead_time = np.mean(times) - late.max() - known.common_filter[0]
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
-        fit = fit_multisine(of, fault_free)
+        derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+        fit = fit_multisine(of, fault_free, derived, tilt_elsewhere)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
         if least <= SIGNIFICANT * error:
             raise InputError(
@@ -293,14 +297,23 @@ class MultisineResult:
         return cls(multisine, peaks, fit, filters, calibrated, mass, weighs, scale_error)
 
     def facts(self) -> Section:
-        """Give the calibration, and the mass, with standard errors."""
+        """Give the calibration, and the mass, with standard errors.
+
+        Of a specimen that rubs or yields the damping, too: to a test by random commands, which
+        has no one amplitude, that is damping, several times as much as at the amplitudes to come.
+        """
         fit = self.fit
-        return self.calibrated.parameters() | {
-            "specimen.mass": fit.mass.ravel().tolist(),
-            "specimen.mass_error": fit.mass_error.diagonal().tolist(),
-            "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
-            "calibration.force_scale_error": self.force_scale_error.tolist(),
-        }
+        damping = {"specimen.damping": _damping_of(fit).ravel().tolist()} if fit.rubs else {}
+        return (
+            damping
+            | self.calibrated.parameters()
+            | {
+                "specimen.mass": fit.mass.ravel().tolist(),
+                "specimen.mass_error": fit.mass_error.diagonal().tolist(),
+                "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
+                "calibration.force_scale_error": self.force_scale_error.tolist(),
+            }
+        )
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
         """Give ``multisine`` of ``seft identify --json``: SI units, errors are standard errors."""
@@ -317,8 +330,11 @@ class MultisineResult:
                 }
                 for row, channel in enumerate(CHANNELS)
             }
-            mass = {"value": float(fit.mass[i, i]), "error": float(fit.mass_error[i, i])}
-            by_axis.append({"axis": axis, "mass": mass, **channels})
+            mass, damping = (
+                {"value": float(every[what][i, i]), "error": float(every[f"{what}_error"][i, i])}
+                for what in ("mass", "damping")
+            )
+            by_axis.append({"axis": axis, "mass": mass, "damping": damping, **channels})
         return {
             "travel": self.multisine.travel,
             "frequencies_hz": self.multisine.frequencies.tolist(),
@@ -329,6 +345,12 @@ class MultisineResult:
             "tilt_error": fit.tilt_error.squeeze().tolist(),
             "axes": by_axis,
         }
+
+
+def _damping_of(fit: MultisineFit) -> Floats:
+    """Damping matrix that feeds no energy, shape (n, n), N s/m."""
+    values, vectors = np.linalg.eigh(fit.damping)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _unfiltered(filters: ChannelFilters, experiment: Experiment) -> Callable[[Floats], Complexes]:
@@ -359,7 +381,8 @@ def _lines(
     deviation = np.sqrt(np.maximum(response.variance(), 0.0) / 2.0).reshape(shape)
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w, nothing = np.tile(2 * np.pi * response.frequencies_hz, n), np.zeros_like(noise)
-    of = Harmonics(w, amplitude[:, np.newaxis], noise, nothing, nothing[:, 0, 0], nothing[0])
+    lines, errors = amplitude[:, np.newaxis], noise[:, np.newaxis]
+    of = Harmonics(w, lines, errors, nothing, nothing[:, 0, 0], nothing[0])
     return of, used
 
 
@@ -395,14 +418,30 @@ def rough_calibration(
     Up to `OF_RATE` times the rate and within the band of the excitation, Hz. The force's lag is
     that of ``filters``: at these frequencies friction spoils it.
     """
+    of, fault_free, derived = _low_lines(recording, band, filters)
+    fit = fit_multisine(of, fault_free, derived)
+    fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
+    return Calibrated.of_multisine(fit, filters, recording.experiment)
+
+
+def tilt_in(
+    recording: Recording, band: tuple[float, float], filters: ChannelFilters
+) -> tuple[Floats, Floats]:
+    """Give the tilt in a test by random commands, and its standard errors, shape (n, n) each."""
+    return tilt_shown(*_low_lines(recording, band, filters))
+
+
+def _low_lines(
+    recording: Recording, band: tuple[float, float], filters: ChannelFilters
+) -> tuple[Harmonics, Complexes, bool]:
+    """Lines without filters, what a rig without faults shows of them, whether v is derived."""
     experiment, (of, _) = recording.experiment, _lines(recording, band)
     low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
     of = Harmonics(
-        of.w[low], of.overtones[low], of.noise[low], of.mean[low], of.time[low], of.rounding
+        of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
     ).passed(_unfiltered(filters, experiment))
-    fit = fit_multisine(of, np.ones((len(of.w), 2), complex))
-    fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
-    return Calibrated.of_multisine(fit, filters, experiment)
+    derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+    return of, np.ones((len(of.w), 2), complex), derived
 
 
 def moved_by(recording: Recording, sines: Sequence[Sine]) -> Floats:
@@ -437,6 +476,8 @@ def multisine_table(result: MultisineResult, axes: Sequence[str]) -> TextTable:
         return f"{scale * number['value']:.{digits}f} ± {error:.{digits}f} {unit}".rstrip()
 
     rows: list[list[str] | None] = [["mass", *(cell(one["mass"], "kg", 1.0) for one in found)]]
+    if result.fit.rubs:
+        rows.append(["damping", *(cell(one["damping"], "N s/m", 1.0) for one in found)])
     for channel, of_bias in _UNITS.items():
         if channel == "velocity" and result.calibrated.derived:
             continue
@@ -465,6 +506,11 @@ def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
         "against them (displacement's if velocity and acceleration agree against it), lags "
         "against the earliest channel"
     ]
+    if fit.rubs:
+        found.append(
+            "multisine: the specimen rubs or yields, which the open loop takes for damping: "
+            "specimen.damping is the multisine's"
+        )
     masses = (each.diagonal() for each in (result.known, fit.mass, fit.mass_error))
     for axis, known, mass, error in zip(axes, *masses, strict=True):
         off = abs(mass - known) > max(SIGNIFICANT * error, SAME_MASS * mass)

@@ -171,7 +171,7 @@ def _of_motion(
     """Filter of velocity or acceleration (order 1 or 2) against the displacement."""
     by_x = (1j * w) ** order
     motion = by_x[:, np.newaxis] * amplitude[:, DISPLACEMENT]
-    error = noise[:, order, i], np.abs(by_x) * noise[:, DISPLACEMENT, i]
+    error = noise[:, order, i], np.abs(by_x)[:, np.newaxis] * noise[:, DISPLACEMENT]
     nothing = np.zeros((len(w), 0), complex)
     return _likeliest(w, amplitude[:, order, i], error, motion, (nothing,) * 2, top)
 
@@ -186,7 +186,7 @@ def _of_force(
     used = w <= top
     w, amplitude, noise, s = w[used], amplitude[used], noise[used], 1j * w[used, np.newaxis]
     a, x = amplitude[:, ACCELERATION], amplitude[:, DISPLACEMENT]
-    error = noise[:, FORCE, i], mass[0][i, i] * noise[:, ACCELERATION, i]
+    error = noise[:, FORCE, i], noise[:, ACCELERATION, [i]]
 
     def restoring(motion: Complexes) -> Complexes:
         slow = [motion * s / (s + 2 * np.pi * each) for each in _RELAXATIONS]
@@ -212,20 +212,20 @@ def _likeliest(
 ) -> _Found:
     """Give the likeliest filter, of either side, that is significant, or none.
 
-    y = columns b + others c; ``noises`` are those of y and of columns b. A filter of y is of all of
-    it, one of the columns of them alone. ``ways`` are the others for these, ``top`` the highest
-    frequency, rad/s. ``prior`` are values and errors of the first unknowns.
+    y = columns b + others c; ``noises`` are those of y, (m,), and of the columns, (m, p). A filter
+    of y is of all of it, one of the columns of them alone. ``ways`` are the others for these,
+    ``top`` the highest frequency, rad/s. ``prior`` are values and errors of the first unknowns.
     """
-    nothing, noise = np.zeros(0), np.hypot(*noises)
+    nothing = np.zeros(0)
     plain = min(
-        (_fitted(w, y, noise, columns, others, NONE, nothing, prior) for others in ways),
+        (_fitted(w, y, noises, columns, others, NONE, nothing, prior) for others in ways),
         key=lambda one: one.left,
     )
     best: _Found | None = None
     for side, others in zip((DENOMINATOR, NUMERATOR), ways, strict=True):
         for hz in np.geomspace(2 * np.pi * 15.0, top / (2.0 * HIGHEST), _STARTS):
             start = np.log([2.0 * BUTTERWORTH / hz, hz**-2.0])
-            tried = _fitted(w, y, noise, columns, others, side, start, prior)
+            tried = _fitted(w, y, noises, columns, others, side, start, prior)
             is_seen = tried.numbers()[0] < top / (2 * np.pi)  # a faster one is but a lag
             if is_seen and (best is None or tried.left < best.left):
                 best = tried
@@ -235,25 +235,32 @@ def _likeliest(
     is_better = plain.left - best.left > 2.0 * SIGNIFICANT**2 * spread
     if not (is_better and (SIGNIFICANT * best.error < 1.0).all()):
         return plain
-    # what is taken back of a filter amplifies the noise of that side, which would bias the filter
-    p, q = np.exp(best.value)
-    amplified = np.abs(1.0 + 1j * p * w - q * w * w) ** -best.side
-    noise, others = np.hypot(noises[0], amplified * noises[1]), ways[0 if best.side > 0 else 1]
-    return _fitted(w, y, noise, columns, others, best.side, best.value, prior)
+    others = ways[0 if best.side == DENOMINATOR else 1]  # with much noise it settles slowly
+    return _fitted(w, y, noises, columns, others, best.side, best.value, prior)
 
 
 def _fitted(
     w: Floats,
     y: Complexes,
-    noise: Floats,
+    noises: tuple[Floats, Floats],
     columns: Complexes,
     others: Complexes,
     side: int,
     start: Floats,
     prior: tuple[Floats, Floats] | None,
 ) -> _Found:
-    """Fit lag and filter by Gauss and Newton's method, from logarithms of p and q."""
+    """Fit lag and filter by Gauss and Newton's method, from logarithms of p and q.
+
+    With R = 1 + p s + q s^2 the noise sigma of what is left, r, is that of y and of
+    R^-side columns b: what is taken back of a filter amplifies noise. So it changes with them::
+
+        d (r / sigma) = (dr - r d(log sigma)) / sigma                                          (2)
+
+    The squares of r / sigma are those of the likeliest motion, and the same on whichever side a
+    filter is put: they say which channel has it.
+    """
     s, found, m = 1j * w, np.append(0.0, start), columns.shape[1]
+    noise = noises[0]
 
     def solved(unknown: Complexes, target: Complexes) -> Fit:
         if prior is None:
@@ -263,7 +270,7 @@ def _fitted(
         return regressed(whole, np.append(target, prior[0]), np.append(noise, prior[1]))
 
     def terms(found: Floats) -> tuple[Complexes, Complexes, Complexes]:
-        """Left side, unknowns, and 1 + p s + q s^2."""
+        """Left side, unknowns, and R."""
         p, q = np.exp(found[1:]) if side else (0.0, 0.0)
         ratio = np.asarray(1.0 + p * s + q * s * s)
         passed = columns * (ratio**-side)[:, np.newaxis]
@@ -274,12 +281,19 @@ def _fitted(
     for _ in range(_ROUNDS):
         turned, unknown, ratio = terms(found)
         value = solved(unknown, turned).value
+        of_columns = (np.abs(ratio) ** -side)[:, np.newaxis] * noises[1] * value[:m]
+        noise = np.sqrt(noises[0] ** 2 + (of_columns**2).sum(axis=1))
+        share = of_columns**2 / noise[:, np.newaxis] ** 2  # d(log sigma) / d(log b)
+        left, all_shares = turned - unknown @ value, share.sum(axis=1)
         used = len(value) if side == DENOMINATOR else m
         part, changes = unknown[:, :used] @ value[:used], [s * turned]
         if side:
             p, q = np.exp(found[1:])
-            changes += [side * each / ratio * part for each in (p * s, q * s * s)]
-        both = solved(np.concatenate([unknown, -np.stack(changes, axis=1)], axis=1), turned)
+            for change in (p * s / ratio, q * s * s / ratio):
+                changes.append(side * (change * part + change.real * all_shares * left))
+        unknown[:, :m] += left[:, np.newaxis] * share / value[:m]
+        columns_now = np.concatenate([unknown, -np.stack(changes, axis=1)], axis=1)
+        both = solved(columns_now, turned + all_shares * left)
         step, error = both.value[-len(found) :], both.error[-len(found) :]
         found = found + step * min(1.0, _STEP / max(np.abs(step[1:]).max(initial=0.0), 1e-9))
         if (np.abs(step) < _SETTLED * error).all():

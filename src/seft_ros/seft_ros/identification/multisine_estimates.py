@@ -8,7 +8,10 @@ another filter than the displacement, a gain and a phase that are curved (g, h):
 
 p is 4 for filters that are flat (Butterworth's of second order: log H = -i sqrt(2) u - u^4 / 2 -
 i sqrt(2) u^3 / 3, u = w / w_c) and 2 for others (Bessel's, one pole): what fits better counts.
-Off the diagonal s is the tilt of an accelerometer. With these known, the force is::
+Off the diagonal s is the tilt of an accelerometer. What hides it is the noise of its own axis'
+displacement, twice differentiated, so for the tilt X is that of displacement and velocity by their
+noise, and a test by random commands, which is longer, says it, too. With these known, the force
+is::
 
     F_i exp(i w tau_i) = sum_j M_ij A_j + (K_ij + i H_ij + i w C_ij) X_j + (K'_i + i H'_i) t X_i
                                                                                            (2)
@@ -57,7 +60,7 @@ _STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement
 _POINTS = 512  # of a cycle
 
 
-def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complexes:
+def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes, noise: Floats) -> Complexes:
     """Force of friction in excess of that with the mean effective stiffness.
 
     Parameters
@@ -67,6 +70,8 @@ def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complex
     x, a, f : ndarray
         Displacement, acceleration and force of one axis, aligned, shape (m, H): amplitudes of the
         sine and of its overtones, in the order of their frequencies; 0: not evaluated.
+    noise : ndarray
+        Standard errors of the force, shape (m, H), N.
 
     Returns
     -------
@@ -83,8 +88,8 @@ def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes) -> Complex
         k = order - 1
         own = np.stack([a[:, k], x[:, k], 1j * order * w * x[:, k]], axis=1)
         seen = f[:, k] != 0.0
-        rows.append(np.concatenate([own, stops[:, k]], axis=1)[seen])
-        wanted.append(f[seen, k])
+        rows.append((np.concatenate([own, stops[:, k]], axis=1) / noise[:, [k]])[seen])
+        wanted.append((f[:, k] / noise[:, k])[seen])
     columns, force = np.concatenate(rows), np.concatenate(wanted)
     real = np.concatenate([columns.real, columns.imag])
     size = np.maximum(np.linalg.norm(real, axis=0), 1e-300)
@@ -119,8 +124,8 @@ class Harmonics:
     overtones : ndarray
         Amplitudes of displacement, velocity, acceleration and force, complex, shape (m, H, 4, n):
         of the sine and of its overtones; 0: not evaluated.
-    noise : ndarray
-        Standard error of the real and of the imaginary part of a sine, shape (m, 4, n).
+    errors : ndarray
+        Standard error of their real and imaginary parts, alike.
     mean : ndarray
         Mean over whole cycles, shape (m, 4, n).
     time : ndarray
@@ -131,7 +136,7 @@ class Harmonics:
 
     w: Floats
     overtones: Complexes
-    noise: Floats
+    errors: Floats
     mean: Floats
     time: Floats
     rounding: Floats
@@ -139,13 +144,18 @@ class Harmonics:
     def passed(self, response: Callable[[Floats], Complexes]) -> "Harmonics":
         """Give those of channels after filters of a response, (..., 4, n), at w of shape (...)."""
         orders = np.arange(1, 1 + self.overtones.shape[1])
-        overtones = self.overtones * response(np.outer(self.w, orders))
-        return replace(self, overtones=overtones, noise=self.noise * np.abs(response(self.w)))
+        passed = response(np.outer(self.w, orders))
+        return replace(self, overtones=self.overtones * passed, errors=self.errors * np.abs(passed))
 
     @property
     def amplitude(self) -> Complexes:
         """Amplitudes of the sines, shape (m, 4, n)."""
         return self.overtones[:, 0]
+
+    @property
+    def noise(self) -> Floats:
+        """Standard errors of the sines, shape (m, 4, n)."""
+        return self.errors[:, 0]
 
 
 def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
@@ -182,7 +192,7 @@ def harmonics(samples: Floats, sines: Sequence[Sine], dt: float) -> Harmonics:
     return Harmonics(
         2 * np.pi * np.array([sine.frequency for sine in sines]),
         np.reshape(overtones, (len(sines), _OVERTONES, *samples.shape[1:])),
-        np.reshape(noise, shape),
+        np.repeat(np.reshape(noise, shape)[:, np.newaxis], _OVERTONES, axis=1),
         np.reshape(mean, shape),
         middle,
         np.reshape(np.min(rounding, axis=0), shape[1:]),
@@ -238,6 +248,10 @@ class MultisineFit:
         corrected if that is significant.
     stiffness : ndarray
         K of Eq. (2), shape (n, n), N/m.
+    hysteresis, hysteresis_error : ndarray
+        H of Eq. (2) of each axis for itself, shape (n,), N/m.
+    damping, damping_error : ndarray
+        C of Eq. (2), shape (n, n), N s/m.
     scale, scale_error : ndarray
         Measured over true, shape (4, n); 1 for the force, and for the displacement unless velocity
         and acceleration agree against it.
@@ -253,6 +267,10 @@ class MultisineFit:
     mass: Floats
     mass_error: Floats
     stiffness: Floats
+    hysteresis: Floats
+    hysteresis_error: Floats
+    damping: Floats
+    damping_error: Floats
     scale: Floats
     scale_error: Floats
     lag: Floats
@@ -261,6 +279,11 @@ class MultisineFit:
     bias_error: Floats
     tilt: Floats
     tilt_error: Floats
+
+    @property
+    def rubs(self) -> bool:
+        """Whether the specimen dissipates what does not depend on rate: it rubs, or yields."""
+        return bool((self.hysteresis > SIGNIFICANT * self.hysteresis_error).any())
 
     def weighed(self, mass: Floats) -> "MultisineFit":
         """Take the masses of the axes for known, (n,), kg: the load cells are off by the rest.
@@ -276,12 +299,21 @@ class MultisineFit:
             mass=self.mass / both,
             mass_error=self.mass_error / both,
             stiffness=self.stiffness / both,
+            hysteresis=self.hysteresis / shown,
+            hysteresis_error=self.hysteresis_error / shown,
+            damping=self.damping / both,
+            damping_error=self.damping_error / both,
             scale=scale,
             scale_error=error,
         )
 
 
-def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
+def fit_multisine(
+    of: Harmonics,
+    fault_free: Complexes,
+    derived: bool = False,
+    tilt_elsewhere: tuple[Floats, Floats] | None = None,
+) -> MultisineFit:
     """Estimate mass, scales, lags and biases.
 
     Parameters
@@ -291,42 +323,55 @@ def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
     fault-free : ndarray
         Velocity and acceleration that a fault-free rig shows, over the derivatives of the
         displacement, shape (m, 2): a held command folds down.
+    derived : bool
+        Whether the velocity is derived from the displacement.
+    tilt_elsewhere : tuple of ndarray, optional
+        Tilt that another test shows, and its standard errors, see `tilt_shown`.
     """
     m, _, n = of.amplitude.shape
     scale, lag = np.ones((4, n)), np.zeros((4, n))
     scale_error, lag_error = np.zeros((4, n)), np.zeros((4, n))
-    tilt, tilt_error = np.eye(n), np.zeros((n, n))
     acceleration = of.amplitude[:, 2].copy()
     folded = FOLDED * np.abs(fault_free - 1.0).max(axis=0)
+    tilt, tilt_error = tilt_shown(of, fault_free, derived)
+    if tilt_elsewhere is not None:
+        tilt, tilt_error = _mean_tilt((tilt, tilt_error), tilt_elsewhere)
+    seen = np.abs(tilt - np.eye(n)) > SIGNIFICANT * tilt_error
+    is_tilted = (seen & ~np.eye(n, dtype=bool)).any(axis=1)
+    tilt[~is_tilted], tilt_error[~is_tilted] = np.eye(n)[~is_tilted], 0.0
     for order, i in ((order, i) for order in (1, 2) for i in range(n)):
-        own, aligning = _relation(of, order, i, fault_free[:, order - 1])
+        crossed = bool(is_tilted[i]) if order == 2 else None
+        own, aligning = _relation(of, order, i, fault_free[:, order - 1], crossed)
         scale[order, i] = own.value[i]
         rounding = math.hypot(of.rounding[0, i], of.rounding[order, i])
         scale_error[order, i] = math.hypot(own.error[i], folded[order - 1], rounding)
         lag[order, i], lag_error[order, i] = own.value[n], own.error[n]
         if order == 2:
-            tilt[i], tilt_error[i] = own.value[:n] / own.value[i], own.error[:n] / own.value[i]
             acceleration[:, i] *= aligning
-    tilt_error[np.diag_indices(n)] = 0.0
     scale[0], scale_error[0] = _displacement_scale(scale, scale_error)
     scale[1:3] *= scale[0]
     adopted = 1.0 + significant(scale - 1.0, scale_error)
     acceleration = np.linalg.solve(adopted[2][:, np.newaxis] * tilt, acceleration.T).T
-    mass, mass_error, stiffness = np.zeros((3, n, n))
+    mass, mass_error, stiffness, damping, damping_error = np.zeros((5, n, n))
+    hysteresis, hysteresis_error = np.zeros((2, n))
     for i in range(n):
         force = of.amplitude[:, 3, i]
-        own, k = _inertia(of, force, acceleration, adopted, i)
-        even = force - _uneven(of, i, lag[2, i], own.value[-1])
-        own, k = _inertia(of, even, acceleration, adopted, i)
-        mass[i], stiffness[i] = own.value[:n], k
+        own = _inertia(of, force, acceleration, adopted, i)
+        even = force - _uneven(of, i, lag[2, i], own.value[-1], adopted[[0, 2], i])
+        own = _inertia(of, even, acceleration, adopted, i)
+        mass[i], stiffness[i], h, damping[i] = own.value[: 4 * n].reshape(4, n)
+        of_mass, _, of_h, damping_error[i] = own.error[: 4 * n].reshape(4, n)
+        hysteresis[i], hysteresis_error[i] = h[i], of_h[i]
         common = math.hypot(folded[1], *of.rounding[[0, 2, 3], i])
-        mass_error[i] = np.hypot(own.error[:n], common * np.abs(own.value[:n]))
+        mass_error[i] = np.hypot(of_mass, common * np.abs(mass[i]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     bias, bias_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
     return MultisineFit(
-        (mass + mass.T) / 2,
-        np.hypot(mass_error, mass_error.T) / 2 * np.sqrt(1.0 + np.eye(n)),
+        *_symmetric(mass, mass_error),
         stiffness,
+        hysteresis,
+        hysteresis_error,
+        *_symmetric(damping, damping_error),
         scale,
         scale_error,
         lag,
@@ -336,6 +381,42 @@ def fit_multisine(of: Harmonics, fault_free: Complexes) -> MultisineFit:
         tilt,
         tilt_error,
     )
+
+
+def _symmetric(value: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Mean of what is right and left of the diagonal, and its standard errors."""
+    of_mean = np.hypot(error, error.T) / 2 * np.sqrt(1.0 + np.eye(len(value)))
+    return (value + value.T) / 2, of_mean
+
+
+def tilt_shown(of: Harmonics, fault_free: Complexes, derived: bool) -> tuple[Floats, Floats]:
+    """Tilt of the accelerometers and its standard errors, shape (n, n); see `fit_multisine`."""
+    n = of.amplitude.shape[2]
+    tilt, error = np.eye(n), np.zeros((n, n))
+    if n == 1:
+        return tilt, error
+    motion, noise, s = of.amplitude[:, 0].copy(), of.noise[:, 0].copy(), 1j * of.w
+    for i in () if derived else range(n):
+        own, aligning = _relation(of, 1, i, fault_free[:, 0])
+        velocity = of.amplitude[:, 1, i] / fault_free[:, 0] * aligning / own.value[i]
+        ratio = of.noise[:, 1, i] / (own.value[i] * of.w * noise[:, i])
+        share = 1.0 / (1.0 + ratio**2)
+        motion[:, i] = (1.0 - share) * motion[:, i] + share * velocity / s
+        noise[:, i] *= np.sqrt(1.0 - share)
+    for i in range(n):
+        y, columns = of.amplitude[:, 2, i] / fault_free[:, 1], (s * s)[:, np.newaxis] * motion
+        fit, _ = _shaped(y, columns, np.hypot(of.noise[:, 2, i], of.w**2 * noise[:, i]), of.w)
+        tilt[i], error[i] = fit.value[:n] / fit.value[i], fit.error[:n] / fit.value[i]
+    error[np.diag_indices(n)] = 0.0
+    return tilt, error
+
+
+def _mean_tilt(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
+    """Mean of two estimates by their errors; the diagonal has none."""
+    (a, of_a), (b, of_b) = one, other
+    both = np.maximum(np.hypot(of_a, of_b), 1e-300)
+    share = (of_a / both) ** 2
+    return (1.0 - share) * a + share * b, of_a * of_b / both
 
 
 def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
@@ -351,16 +432,23 @@ def _displacement_scale(scale: Floats, error: Floats) -> tuple[Floats, Floats]:
     return np.where(alike, found, 1.0), np.where(alike, found**2 / np.sqrt(p + q), 0.0)
 
 
-def _relation(of: Harmonics, order: int, i: int, fault_free: Complexes) -> tuple[Fit, Complexes]:
-    """Fit Eq. (1) for axis i: scales to each axis, lag; and give the factor that aligns it."""
+def _relation(
+    of: Harmonics, order: int, i: int, fault_free: Complexes, crossed: bool | None = None
+) -> tuple[Fit, Complexes]:
+    """Fit Eq. (1) for axis i: scales to each axis, lag; and give the factor that aligns it.
+
+    ``crossed`` says whether it shows other axes, too; by default if that is significant.
+    """
     n = of.amplitude.shape[2]
     by_x = (1j * of.w) ** order
     y, motion = of.amplitude[:, order, i] / fault_free, by_x[:, np.newaxis] * of.amplitude[:, 0]
     noise = np.hypot(of.noise[:, order, i], np.abs(by_x) * of.noise[:, 0, i])
-    others = np.arange(n) != i
     used = np.arange(n)
     fit, shape = _shaped(y, motion, noise, of.w)
-    if n > 1 and not (np.abs(fit.value[:n]) > SIGNIFICANT * fit.error[:n])[others].any():
+    if crossed is None:
+        others = used != i
+        crossed = bool((np.abs(fit.value[:n]) > SIGNIFICANT * fit.error[:n])[others].any())
+    if n > 1 and not crossed:
         used = np.array([i])
         fit, shape = _shaped(y, motion[:, used], noise, of.w)
     value, error = np.zeros(n + 1), np.zeros(n + 1)
@@ -404,8 +492,14 @@ def aligned(
     return Fit(value, fit.error, fit.left), np.exp(-powers @ found)
 
 
-def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) -> Complexes:
-    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,)."""
+def _uneven(
+    of: Harmonics, i: int, late_acceleration: float, late_force: float, scale: Floats
+) -> Complexes:
+    """Force of friction on axis i that differs from sine to sine, as measured, shape (m,).
+
+    The motion's overtones are those of displacement and acceleration by their noise: a filter of
+    one that is taken back would bury them. ``scale`` is that of both, (2,).
+    """
     uneven = np.zeros(len(of.w), dtype=np.complex128)
     if of.overtones.shape[1] == 1:  # of a spectrum
         return uneven
@@ -413,15 +507,19 @@ def _uneven(of: Harmonics, i: int, late_acceleration: float, late_force: float) 
     orders = np.arange(1, of.overtones.shape[1] + 1)
     s = 1j * of.w[own, np.newaxis] * orders
     x, _, a, f = np.moveaxis(of.overtones[own, :, :, i], 2, 0)
+    of_x, _, of_a, of_f = np.moveaxis(of.errors[own, :, :, i], 2, 0)
     a, f = a * np.exp(s * late_acceleration), f * np.exp(s * late_force)
-    uneven[own] = uneven_force(of.w[own], x, a, f) * np.exp(-s[:, 0] * late_force)
+    squares = (s * s).real
+    share = 1.0 / (1.0 + (squares * of_x / scale[0] / (of_a / scale[1])) ** 2)
+    x = share * x + (1.0 - share) * a / squares * scale[0] / scale[1]
+    uneven[own] = uneven_force(of.w[own], x, a, f, of_f) * np.exp(-s[:, 0] * late_force)
     return uneven
 
 
 def _inertia(
     of: Harmonics, force: Complexes, acceleration: Complexes, scale: Floats, i: int
-) -> tuple[Fit, Floats]:
-    """Fit Eq. (2) for axis i: masses and the lag of the force; and give the stiffness.
+) -> Fit:
+    """Fit Eq. (2) for axis i: M, K, H and C of its row, last the lag of the force.
 
     ``acceleration`` is corrected by ``scale``, of which that of the displacement counts, too.
     """
@@ -438,4 +536,4 @@ def _inertia(
         motion = (of.noise[:, 0] / scale[0] * np.abs(k + 1j * (h + w * c))) ** 2
         motion += (of.noise[:, 2] / scale[2] * m) ** 2
         noise = np.sqrt(of.noise[:, 3, i] ** 2 + motion.sum(axis=1))
-    return fit, k
+    return fit
