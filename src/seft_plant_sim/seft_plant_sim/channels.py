@@ -127,7 +127,9 @@ def converters(
 
 
 class Derivation(NamedTuple):
-    """Filter that derives the velocity v from the displacement x; both 0 if it is measured.
+    """Filter that derives the velocity v from the displacement x; both 0 if nothing does.
+
+    It is measured then, or the acceleration is derived, too, see `servo_model`.
 
     v = s / (1 + s / w_c) x by the bilinear transform: v[k] = pole v[k-1] + gain (x[k] - x[k-1]).
     """
@@ -138,7 +140,7 @@ class Derivation(NamedTuple):
     @classmethod
     def from_parameters(cls, section: Mapping[str, Any], dt: float) -> "Derivation":
         """Make it from the rig's section, for a sampling period in s."""
-        if not velocity_is_derived(section):
+        if not velocity_is_derived(section) or acceleration_is_derived(section):
             return cls(0.0, 0.0)
         cutoff = float(section["sensors.velocity_cutoff"])
         half = np.pi * cutoff * dt

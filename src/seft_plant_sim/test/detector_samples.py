@@ -26,6 +26,7 @@ def detectors(warn_only=(), **changes):
     known = {
         **{"noise": NOISE, "limits": LIMITS, "ranges": np.zeros((4, N))},
         **{"steps": np.zeros((4, N)), "derivation": Derivation(0.0, 0.0)},
+        **{"velocity_is_derived": changes.get("derivation", (0.0,))[0] > 0.0},
         **{"actuator": ACTUATOR, "past": PAST, "has_valve": True},
         **{"mass": MASS, "stiffness": STIFFNESS, "imposes": False},
         **{"largest_drive": 10.0, "waits": np.zeros(4, np.int64), "dt": DT, **changes},

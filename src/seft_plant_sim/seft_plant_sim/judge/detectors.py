@@ -15,6 +15,7 @@ from seft_plant_sim.channels import (
     Derivation,
     acceleration_is_derived,
     per_channel,
+    velocity_is_derived,
 )
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
@@ -70,7 +71,8 @@ class KnownRig(NamedTuple):
     limits: Floats  # their largest values, (4,)
     ranges: Floats  # largest values that the sensors can measure, (4, n); 0: not known
     steps: Floats  # of their converters, (4, n); 0: not known
-    derivation: Derivation  # of the velocity, if it is not measured
+    velocity_is_derived: bool  # from the displacement
+    derivation: Derivation  # how it is
     actuator: Floats  # flow gain, oil stiffness, leakage, force capacity, (n, 4); 0: not known
     past: Floats  # part of past commands, the newest first, in the mean flow of the last period,
     # and its change per delay (1/s), (n, 2, m); of a servo, mean velocity
@@ -168,7 +170,7 @@ def detector_arrays(
     ``zeroed`` is what the rig measured at rest, see `seft_plant_sim.calibration.zeroed_at_rest`.
     """
     noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
-    has_valve, velocity_is_derived = known.has_valve, known.derivation.gain > 0.0
+    has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
     x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
@@ -373,6 +375,7 @@ def detectors_of(
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
         ranges=(ranges - bias) / scale,
         steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
+        velocity_is_derived=velocity_is_derived(section),
         derivation=Derivation.from_parameters(section, dt),
         actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
         past=past,

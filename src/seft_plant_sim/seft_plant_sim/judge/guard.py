@@ -22,6 +22,7 @@ from seft_plant_sim.judge.detectors import (
     DetectorState,
     detectors_of,
 )
+from seft_plant_sim.judge.hypotheses import FORCES
 from seft_plant_sim.judge.servo_model import (
     AccelerationParameters,
     AccelerationState,
@@ -232,13 +233,16 @@ class Guard:
         """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
         ``found`` is the result of the step that ends the test. What stands still, and what was
-        replaced in all samples from one on, began there; anything else before it was found.
+        replaced in all samples from one on, began there; anything else before it was found. A wrong
+        displacement or velocity is never used: the others tell it.
         """
         row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
         last, window = int(judge.step[0]), len(judge.replaced)
         wrong = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
         if not (found & FAULT or wrong):
             return -1
+        if (row >= WRONG or not found & FAULT) and not (judge.replaced & FORCES).any():
+            return last
         since = 1 + max(wrong, default=0)
         if found & FAULT and FROZEN <= row < WRONG:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
