@@ -2,7 +2,7 @@
 
 Run it in the project:
 
-    .venv/bin/python docs/fault_free_tests.py 900 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
+    .venv/bin/python docs/fault_free_tests.py 1000 kobe.txt:cm/s2:0.005:0 nishi_akashi.AT2
 
 Each motion is FILE, or FILE:UNIT:DT:COLUMN (yours to bring); half of the tests take the synthetic
 one.
