@@ -42,9 +42,9 @@ def motion(seed=1, size=1.0, mass=MASS):
     return right + size * NOISE * rng.normal(size=right.shape), right, flow
 
 
-def fresh_judge(oil=OIL, mass=MASS, ranges=WIDE, rest=REST, derivation=MEASURED):
+def fresh_judge(oil=OIL, mass=MASS, ranges=WIDE, rest=REST, derivation=MEASURED, imposed=0):
     """A judge that has begun."""
-    steps, imposed = np.full((4, N), np.inf), np.zeros(N, np.int64)
+    steps, imposed = np.full((4, N), np.inf), np.full(N, imposed, np.int64)
     late = 2e-3 if derivation.gain else 0.0
     known = NOISE, rest, oil, mass, STIFFNESS, ranges, steps
     p, state = judge_arrays(*known, late, derivation, imposed, DT)
@@ -322,6 +322,14 @@ def test_a_value_at_its_end_is_beyond_it_if_the_others_say_so_and_else_wrong(sig
         assert replaced[AT + after, F, 1]
         assert replaced[AT, A, 1] == (sign > 0.0)  # it is there, but for a little
         assert (np.abs(judged - right)[AT : AT + 4, F, 1] < 2.0 * NEAR[F]).all()
+
+
+@pytest.mark.parametrize("end", [1.0, -1.0])
+def test_a_force_that_jumps_to_its_range_s_end_behind_a_servo_is_wrong(end):
+    samples, _, flow = motion()
+    samples[AT:, F, 1] = end * WIDE[F, 1]
+    _, replaced, _ = judged_of(samples[: AT + 6], flow, imposed=1, oil=0.0 * OIL)
+    assert replaced[AT:, F, 1].all()
 
 
 def test_after_a_lost_sample_nothing_is_compared():

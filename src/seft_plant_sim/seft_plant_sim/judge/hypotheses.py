@@ -264,6 +264,7 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
         value += log_size(size, c.covariance[3, 3], known.orders, axis.strained)
         value += BREAKS if breaks(c, b, size) else 0.0
         value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
+        value += RARE if c.forced >> F + 4 & 1 else 0.0  # no specimen jumps beyond a range
     if which & OIL_EVENT:
         size, variance = c.amplitude[at, 4], c.covariance[2, 2]
         value += HALF_LOG_TURN + math.log(NEW) + log_size(size, variance, known.orders, math.inf)
