@@ -10,7 +10,7 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.wire.topics import RigAxes
 
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate, calibration_of
-from seft_plant_sim.channels import Derivation, converters, derive_velocity
+from seft_plant_sim.channels import VELOCITY, Derivation, converters, derive_velocity
 from seft_plant_sim.compiled import compiled, entry_point
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
@@ -233,15 +233,18 @@ class Guard:
         """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
         ``found`` is the result of the step that ends the test. What stands still, and what was
-        replaced in all samples from one on, began there; anything else before it was found. A wrong
-        displacement or velocity is never used: the others tell it.
+        replaced in all samples from one on, began there; anything else before it was found. The
+        others tell a displacement or velocity that is wrong, so that it is not used. But where a
+        velocity is off by less than displacements show, force and acceleration may be wrong.
         """
         row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
         last, window = int(judge.step[0]), len(judge.replaced)
         wrong = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
         if not (found & FAULT or wrong):
             return -1
-        if (row >= WRONG or not found & FAULT) and not (judge.replaced & FORCES).any():
+        seen = self._dt * np.abs(self.state.measured - self.state.detectors.last)[VELOCITY]
+        unsure = ((seen > 0.0) & (seen < 2.0 * self.parameters.detectors.still)).any()
+        if (row >= WRONG or not found & FAULT) and not (unsure or (judge.replaced & FORCES).any()):
             return last
         since = 1 + max(wrong, default=0)
         if found & FAULT and FROZEN <= row < WRONG:

@@ -66,7 +66,8 @@ def look_at_restoring_force(
     threshold = part * largest + p.rough[i] + stiff
     is_stop = stiff > 0.0 and is_elastic(state.changes[i], change, moved, p.rough[i])
     is_like = slips and LIKE * state.judge.axes[i].known > abs(jump)
-    if event[1] != 0.0 and (is_stop or is_like):
+    sticks = slips and jump * measured[1, i] > 0.0  # it carries what it had not been asked for yet
+    if event[1] != 0.0 and (is_stop or is_like or sticks):
         threshold = np.inf
     acts = look(p, state, JUMP, i, abs(jump), threshold)
     if event[1] != 0.0 and state.counts[JUMP, i] == 1:  # it was known one sample late
