@@ -203,6 +203,18 @@ def test_what_hardly_moves_tells_of_the_offset_alone():
     assert state.values[0, 0] == pytest.approx(30.0, abs=2.0)
 
 
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_an_offset_that_is_less_certain_than_the_sum_does_not_overshoot(share):
+    """At rest far from the origin an offset and the stiffness are known together only."""
+    x = np.array([0.005, 0.00498, 0.00498])
+    parameters, state, _ = followed(K * x, x, 0.0 * x)
+    state.covariance[0] = 0.0
+    state.covariance[0, :2, :2] = 50.0**2 * np.outer(*2 * [[1.0, -share / x[2]]])
+    expected = state.found[0] @ state.regressors[0]
+    follow_specimen(parameters, state, x[2:], np.zeros(1), np.array([expected + 10.0]))
+    assert 0.0 <= abs(state.found[0] @ state.regressors[0] - expected) < 10.0
+
+
 def test_noise_at_rest_does_not_soften_what_sticks():
     """After slips of 2 mm it sticks for 16 s, while the displacement has noise."""
     t, sticks, rng = 0.002 * np.arange(9000), 9.5e6, np.random.default_rng(5)

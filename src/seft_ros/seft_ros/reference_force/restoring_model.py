@@ -416,9 +416,15 @@ def follow_specimen(
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
+        offset = gain[0]
+        if not moves:  # the sum may be far more certain than its offset: that gains no more
+            most = max(dot(q, phi, gain) - slope * gain[error], 0.0)
+            offset = min(max(offset, -most), most)
         for i in range(q):
             # a spring that does not move changes offset and error only (Schmidt-Kalman)
             taken[i] = gain[i] * per_variance if i < learned or i == error else 0.0
+        taken[0] = offset * per_variance
+        for i in range(q):
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
             start = parameters.start[j, i]
