@@ -106,6 +106,8 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     assert section["specimen.mass"] == [multisine["mass"]]
     assert multisine["mass"] == pytest.approx(52.7, abs=4 * multisine["mass_error"])
     assert section["specimen.mass_error"] == [pytest.approx(0.04, abs=0.03)]
+    damping = multisine["axes"][0]["damping"]
+    assert damping["value"] == pytest.approx(800.3, abs=4 * damping["error"])
     assert section["calibration.force_lag_error"] == [multisine["axes"][0]["force"]["lag"]["error"]]
     assert section["specimen.stiffness"] == [pytest.approx(2.11e5, rel=0.005)]
     assert section["actuator.delay"] == pytest.approx(found["delay_s"] - LOOP)
