@@ -148,6 +148,12 @@ class Derivation(NamedTuple):
 
 
 @compiled
+def derived(gain: float, pole: float, velocity: float, moved: float) -> float:
+    """Give the velocity of a `Derivation` after the last one, and the motion since."""
+    return pole * velocity + gain * moved
+
+
+@compiled
 def derive_velocity(derivation: Derivation, step: int, last: Floats, measured: Floats) -> None:
     """Derive the velocity of a sample from the last sample, both (4, n), if it is not measured.
 
@@ -155,6 +161,6 @@ def derive_velocity(derivation: Derivation, step: int, last: Floats, measured: F
     """
     if derivation.gain:
         for i in range(measured.shape[1]):
-            change = measured[0, i] - last[0, i]
-            moved = derivation.pole * last[1, i] + derivation.gain * change
-            measured[1, i] = moved if step else 0.0
+            moved = measured[0, i] - last[0, i]
+            v = derived(derivation.gain, derivation.pole, last[1, i], moved)
+            measured[1, i] = v if step else 0.0

@@ -49,7 +49,7 @@ OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
 
 SAME, SUSPECTED = 1e-11, 2.0 / 3.0
 """Chance of so many equal samples of a channel that is not frozen, and the part of these samples
-after which a sample is suspect: a chance of 1e-6."""
+after which a sample is suspect: a chance of 5e-8."""
 
 
 def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:

@@ -26,6 +26,7 @@ import math
 import numpy as np
 from seft_msgs_py.arrays import Floats
 
+from seft_plant_sim.channels import derived
 from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.judge.hypotheses import (
     ANY_CHANNEL,
@@ -202,13 +203,19 @@ def begin_anew(known: Record, axis: Record, c: Record) -> None:
 
 
 @compiled
+def rise_of(b: Record) -> float:
+    """Give the square of the last change of r, less what its noise makes of it, N^2."""
+    return (b.restoring[0] - b.restoring[1]) ** 2 - b.blur[0] - b.blur[1]
+
+
+@compiled
 def go_on(known: Record, axis: Record, b: Record) -> tuple[float, float]:
     """Give the r that (4) expects after a branch, N, and the variance of what it leaves, N^2."""
     change = b.restoring[0] - b.restoring[1]
     if known.mass == 0.0 and not known.imposed:
         return b.restoring[0] + change, UNKNOWN**2  # (3) tells f; without that r is f
     blur, before = b.blur[0], b.blur[1]
-    rise = max(axis.rises, change * change - blur - before, 0.0)
+    rise = max(axis.rises, rise_of(b), 0.0)
     part = rise / (rise + blur + before)
     curved = known.stiffness * known.dt**2 * b.value[0, A]
     left = (1.0 + part) ** 2 * blur + part * part * before + (1.0 - part) ** 2 * rise
@@ -235,7 +242,7 @@ def _compare(known: Record, axis: Record, c: Record, b: Record, flow: Flow) -> N
     dt, z, last, left, held = known.dt, c.seen, b.value[0], c.left, 0.0
     half, bend = 0.5 * dt, dt * dt / 12.0
     if known.gain > 0.0:
-        z[V] = known.pole * last[V] + known.gain * (z[X] - last[X])
+        z[V] = derived(known.gain, known.pole, last[V], z[X] - last[X])
     moved = half * (z[V] + last[V]) - bend * (z[A] - last[A])
     c.off[0] = z[X] - last[X] - moved
     c.off[1] = z[V] - last[V] - half * (z[A] + last[A])
@@ -299,8 +306,8 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         if relation == 3:
             axis.scatter = max(axis.scatter + (1.0 - known.recent) * beyond, 0.0)
             b = axis.alive[0]
-            rise = (b.restoring[0] - b.restoring[1]) ** 2 - b.blur[0] - b.blur[1]
-            axis.rises = max(axis.rises + (1.0 - known.brief) * (rise - axis.rises), 0.0)
+            axis.rises += (1.0 - known.brief) * (rise_of(b) - axis.rises)
+            axis.rises = max(axis.rises, 0.0)
             break
         if relation == 2 and known.oil == 0.0:
             continue
@@ -407,7 +414,7 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
     if known.gain > 0.0:
         moved = to.value[0, X] - b.value[0, X]
-        to.value[0, V] = known.pole * b.value[0, V] + known.gain * moved
+        to.value[0, V] = derived(known.gain, known.pole, b.value[0, V], moved)
     for age in range(REVISED):
         to.wrong[1 + age] = b.wrong[age]
     for age in range(2):

@@ -23,7 +23,7 @@ from seft_plant_sim.calibration import (
     lacking,
     significant,
 )
-from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of
+from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of, velocity_is_derived
 from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
@@ -275,7 +275,7 @@ class MultisineResult:
         times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
         dead_time = np.mean(times) - late.max() - known.common_filter[0]
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
-        derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+        derived = velocity_is_derived(experiment["reference_force"])
         fit = fit_multisine(of, fault_free, derived, tilt_elsewhere)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
         if least <= SIGNIFICANT * error:
@@ -440,7 +440,7 @@ def _low_lines(
     of = Harmonics(
         of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
     ).passed(_unfiltered(filters, experiment))
-    derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+    derived = velocity_is_derived(experiment["reference_force"])
     return of, np.ones((len(of.w), 2), complex), derived
 
 

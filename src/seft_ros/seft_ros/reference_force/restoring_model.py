@@ -422,9 +422,8 @@ def follow_specimen(
             offset = min(max(offset, -most), most)
         for i in range(q):
             # a spring that does not move changes offset and error only (Schmidt-Kalman)
-            taken[i] = gain[i] * per_variance if i < learned or i == error else 0.0
-        taken[0] = offset * per_variance
-        for i in range(q):
+            own = offset if i == 0 else gain[i]
+            taken[i] = own * per_variance if i < learned or i == error else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
             start = parameters.start[j, i]
