@@ -84,12 +84,8 @@ class Registered:
 
     def settings_row(self, name: str, what: str) -> Parameter:
         """Give the row of the settings in a parameter table."""
-        return Parameter(
-            name,
-            "string",
-            "",
-            f"settings of {what} that another package has registered, e.g. gain=2.0 poles=[1,2.5]",
-        )
+        registered = "that another package has registered, e.g. gain=2.0 poles=[1,2.5]"
+        return Parameter(name, "string", "", f"settings of {what} {registered}")
 
 
 @cache
@@ -137,8 +133,7 @@ LONGEST_TEXT = 500
 def printable(text: str) -> str:
     """Make one line of a text of another package that no terminal takes as a command."""
     line = " ".join(text.split())
-    line = line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}..."
-    return escaped(line)
+    return escaped(line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}...")
 
 
 def reason_of(error: BaseException) -> str:

@@ -31,8 +31,8 @@ FIRST_NICENESS = -20
 """The nice value of the process that runs before all others (`nice(1)`)."""
 _TRIES = 20
 _REMEDY = (
-    "a line `{user} - {item} {value}` in /etc/security/limits.conf and a new login allow it; "
-    "the test continues without it"
+    "a line `USER - {} {}` in /etc/security/limits.conf and a new login allow it; the test "
+    "continues without it"
 )
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _SLACK_NS = 29, 1
@@ -198,17 +198,13 @@ def _take_priority(priority: int) -> str:
             own = max(1, priority - 1) if thread in aside else priority
             os.sched_setscheduler(thread, policy, os.sched_param(own))
     except OSError:
-        return f"real-time priority {priority} is denied: " + _REMEDY.format(
-            user="USER", item="rtprio", value=98
-        )
+        return f"real-time priority {priority} is denied: {_REMEDY.format('rtprio', 98)}"
     return ""
 
 
 def _lock_memory() -> str:
     if _LIBC.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT):
-        return "locked memory is denied: " + _REMEDY.format(
-            user="USER", item="memlock", value="unlimited"
-        )
+        return f"locked memory is denied: {_REMEDY.format('memlock', 'unlimited')}"
     return ""
 
 

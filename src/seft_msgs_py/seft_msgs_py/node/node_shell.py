@@ -100,12 +100,11 @@ class Heartbeat:
         return {**self._counted(), "peak_memory_mb": str(peak)}
 
     def _counted(self) -> dict[str, str]:
-        refused, faults = self._wiring.refused, self._process.faults
         stood_still = max(self._stood_still, self._process.stood_still)
         return {
             STOOD_STILL_KEY: f"{stood_still:.3g}" if stood_still > NOTED_PAUSE else "0",
-            "refused": str(refused),
-            "faults": str(faults),
+            "refused": str(self._wiring.refused),
+            "faults": str(self._process.faults),
             "unexpected_publishers": self._wiring.senders.unexpected_publishers(),
         }
 

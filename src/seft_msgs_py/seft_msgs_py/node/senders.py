@@ -205,7 +205,7 @@ class Senders:
         for reader in self._of_the_test():
             if reader.subscription is None or reader.count(self._endpoint) > 1:
                 continue  # no publisher outside; or the right one is not known
-            found = self._known(reader)
+            found = self._endpoint.publishers(reader.full_name)
             if len(found) > 1:  # one of them is known but not connected yet
                 own = bare(reader.topic.publisher)
                 found = {gid: name for gid, name in found.items() if bare(name) == own}
@@ -236,7 +236,7 @@ class Senders:
         """
         for reader in self._of_the_test():
             if (count := reader.count(self._endpoint)) > 1:
-                names = _listed(sorted(self._known(reader).values()), ", ")
+                names = _listed(sorted(self._endpoint.publishers(reader.full_name).values()), ", ")
                 return f"{count} nodes publish {reader.topic.name} ({names})"
         return next(filter(None, (authors.twins() for authors in self.authors)), "")
 
@@ -252,7 +252,7 @@ class Senders:
             return ""
         self._asked += 1
         reader = readers[self._asked % len(readers)]
-        name, known, news = reader.topic.name, self._known(reader), []
+        name, known, news = reader.topic.name, self._endpoint.publishers(reader.full_name), []
         if self._has_lost(reader) and reader.accepted not in known:
             reader.accepted = b""  # the supervisor has left; it may have been started again
             self._state = ""
@@ -262,13 +262,11 @@ class Senders:
                 self._names[name, gid] = node
                 self._refused.setdefault((name, gid), 0)
                 news.append(node)
-        if len(news) < 2:
-            return "".join(
-                f"{node} publishes {name}, too: this test ignores its messages" for node in news
-            )
-        return (
-            f"{_listed(sorted(news), ', ')} publish {name}, too: this test ignores their messages"
-        )
+        if not news:
+            return ""
+        publish, their = ("publishes", "its") if len(news) == 1 else ("publish", "their")
+        who = _listed(sorted(news), ", ")
+        return f"{who} {publish} {name}, too: this test ignores {their} messages"
 
     def unexpected_publishers(self) -> str:
         """List the unexpected publishers of this test, their topics and refused messages."""
@@ -303,10 +301,6 @@ class Senders:
             for reader in self._readers.values()
             if isinstance(reader.topic, LoopTopic) or reader.topic == EXPERIMENT_STATE
         ]
-
-    def _known(self, reader: _Reader) -> dict[bytes, str]:
-        """Give identifier and full name of each node that publishes a topic, as far as known."""
-        return self._endpoint.publishers(reader.full_name)
 
 
 def _listed(words: list[str], between: str) -> str:

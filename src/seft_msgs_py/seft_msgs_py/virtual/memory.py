@@ -121,20 +121,13 @@ class MemoryGraph:
         """Send a message to all readers that are connected."""
         if publisher.endpoint.is_dead:
             return
-        raw, now = bytes(raw), self.scheduler.now
-        path, topic = publisher.endpoint.path, publisher.topic_name.lstrip("/")
-        self.sent.append(Sent(now, path, topic, raw))
+        raw, topic = bytes(raw), publisher.topic_name.lstrip("/")
+        self.sent.append(Sent(self.scheduler.now, publisher.endpoint.path, topic, raw))
         publisher.history.append(raw)
         for reader in publisher.readers:
-            delay_ns = self._delay_ns(topic, raw, reader)
-            if delay_ns is None:
-                continue
-            if delay_ns:
-                self.scheduler.at(
-                    now + delay_ns, partial(reader.deliver, raw, publisher.identifier)
-                )
-            else:
-                reader.deliver(raw, publisher.identifier)
+            if (delay_ns := self._delay_ns(topic, raw, reader)) is not None:
+                deliver = partial(reader.deliver, raw, publisher.identifier)
+                self.scheduler.after(delay_ns, deliver)
 
     def remove(self, endpoint: "MemoryEndpoint") -> None:
         """Take a node off the graph."""
@@ -155,10 +148,7 @@ class MemoryGraph:
             for raw in publisher.history:
                 reader.deliver(raw, publisher.identifier)
 
-        if self._discovery_ns:
-            self.scheduler.at(self.scheduler.now + self._discovery_ns, connect)
-        else:
-            connect()
+        self.scheduler.after(self._discovery_ns, connect)
 
     def _delay_ns(self, topic: str, raw: bytes, reader: "MemorySubscription") -> int | None:
         delay_ns = self._latency_ns
@@ -182,15 +172,12 @@ class MemoryPublisher:
         self.identifier = endpoint.graph.identifier()
         self.history: deque[bytes] = deque(maxlen=topic.depth if topic.latched else 0)
         self.readers: list[MemorySubscription] = []
-        self.send: Send = self._send
+        self.send: Send = partial(endpoint.graph.send, self)
         endpoint.graph.add_publisher(self)
 
     def listener_count(self) -> int:
         """Count the subscriptions that are connected."""
         return len(self.readers)
-
-    def _send(self, raw: bytes) -> None:
-        self.endpoint.graph.send(self, raw)
 
 
 class MemorySubscription:
@@ -364,8 +351,7 @@ class MemoryTransport:
         """Fall silent; others see the nodes until their lease expires."""
         for endpoint in self.endpoints:
             endpoint.is_dead = True
-            at = self._graph.scheduler.now + ns(LEASE)
-            self._graph.scheduler.at(at, partial(self._leave, endpoint))
+            self._graph.scheduler.after(ns(LEASE), partial(self._leave, endpoint))
 
     def _leave(self, endpoint: MemoryEndpoint) -> None:
         endpoint.is_gone = True

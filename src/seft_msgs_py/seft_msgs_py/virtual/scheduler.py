@@ -92,9 +92,12 @@ class Scheduler:
         """Say whether a task has not ended."""
         return task in self._tasks
 
-    def at(self, time_ns: int, act: Callable[[], None]) -> None:
-        """Do something at a time, in whoever's turn."""
-        heapq.heappush(self._events, (time_ns, next(self._count), act))
+    def after(self, delay_ns: int, act: Callable[[], None]) -> None:
+        """Do something after a time, in whoever's turn; at once if that is 0."""
+        if delay_ns:
+            heapq.heappush(self._events, (self.now + delay_ns, next(self._count), act))
+        else:
+            act()
 
     def block(self, until_ns: int, wakeable: bool = False) -> None:
         """Let others run until a time, or until this task is woken."""

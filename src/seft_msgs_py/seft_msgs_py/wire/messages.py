@@ -29,6 +29,7 @@ OK, WARN, ERROR, STALE = range(4)
 
 _LATEST_NS = 2**31 * topics.NANOSECONDS_PER_SECOND  # seconds are an int32 on the wire
 _BYTE_ORDERS = {b"\x00\x01": "deserialize_cdr_le", b"\x00\x00": "deserialize_cdr_be"}
+_KEY_VALUE, _TEXTS = "diagnostic_msgs/msg/KeyValue", ("message", "hardware_id")
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,7 @@ class Status:
 def typestore() -> Typestore:
     """Definitions of the standard messages of ROS 2 Jazzy."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    store.get_msgdef(
-        topics.JOINT_TRAJECTORY
-    )  # prepared now: it may be needed first by a running test
+    store.get_msgdef(topics.JOINT_TRAJECTORY)  # prepared now: a running test may need it first
     return store
 
 
@@ -96,9 +95,8 @@ def encode_diagnostics(stamp_ns: int, statuses: Sequence[Status]) -> bytes:
     """Make a diagnostic_msgs/msg/DiagnosticArray with a stamp in nanoseconds."""
     header = _make("std_msgs/msg/Header", stamp=_time(stamp_ns), frame_id="")
     status = [_status_message(each) for each in statuses]
-    return _encode(
-        topics.DIAGNOSTIC_ARRAY, _make(topics.DIAGNOSTIC_ARRAY, header=header, status=status)
-    )
+    array = _make(topics.DIAGNOSTIC_ARRAY, header=header, status=status)
+    return _encode(topics.DIAGNOSTIC_ARRAY, array)
 
 
 def restamp(message: bytearray, stamp_ns: int) -> None:
@@ -175,21 +173,13 @@ def _status_message(status: Status) -> Any:
     where = f"DiagnosticStatus {_text(status.name, 'DiagnosticStatus: name')}"
     if type(status.level) is not int or not OK <= status.level <= STALE:
         raise WireError(f"{where}: level is {status.level!r}, but must be an int from 0 to 3")
-    return _make(
-        topics.DIAGNOSTIC_STATUS,
-        level=status.level,
-        name=status.name,
-        message=_text(status.message, f"{where}: message"),
-        hardware_id=_text(status.hardware_id, f"{where}: hardware_id"),
-        values=[
-            _make(
-                "diagnostic_msgs/msg/KeyValue",
-                key=_text(key, f"{where}: a key"),
-                value=_text(value, f"{where}: {key}"),
-            )
-            for key, value in status.values.items()
-        ],
-    )
+    texts = {name: _text(getattr(status, name), f"{where}: {name}") for name in _TEXTS}
+    values = [
+        _make(_KEY_VALUE, key=_text(key, f"{where}: a key"), value=_text(value, f"{where}: {key}"))
+        for key, value in status.values.items()
+    ]
+    level, name = status.level, status.name
+    return _make(topics.DIAGNOSTIC_STATUS, level=level, name=name, values=values, **texts)
 
 
 def _status(message: Any) -> Status:

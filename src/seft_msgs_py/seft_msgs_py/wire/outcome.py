@@ -4,7 +4,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields
 from enum import StrEnum
 
 from seft_msgs_py.errors import WireError
@@ -89,10 +89,8 @@ Saturation = dict[str, dict[str, int]]
 def count_saturated(found: Saturation, name: str, samples: int, first_step: int) -> None:
     """Add samples of one part, and the step of the first of them."""
     known = found.get(name, {"samples": 0, "first_step": first_step})
-    found[name] = {
-        "samples": known["samples"] + samples,
-        "first_step": min(known["first_step"], first_step),
-    }
+    first_step = min(known["first_step"], first_step)
+    found[name] = {"samples": known["samples"] + samples, "first_step": first_step}
 
 
 def all_saturated(parts: Iterable[Saturation]) -> Saturation:
@@ -125,8 +123,7 @@ class Simulated:
     @classmethod
     def of_all(cls, parts: Iterable["Simulated"]) -> "Simulated":
         """Give the largest of several rigs."""
-        peaks = [(p.displacement_peak, p.force_peak, p.stop_force_peak) for p in parts]
-        return cls(*map(max, zip(*peaks, strict=True)))
+        return cls(*map(max, zip(*map(astuple, parts), strict=True)))
 
 
 class MissedSteps:
@@ -293,7 +290,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
     if bare(status.name) != RIG or phase not in (FINISHED, TRIPPED):
         return None
     try:
-        trip = None
+        trip, listed = None, values["missed_steps"]
         if phase == TRIPPED:
             step = int(values["step"])
             trip = Trip(values["reason"], step, timebase.stamp_ns(step) / 1e9)
@@ -302,7 +299,7 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
             steps=int(values["steps"]),
             missed=int(values["missed"]),
             overruns=int(values.get("overruns", "0")),  # optional for a driver
-            missed_steps=_steps(values["missed_steps"]),
+            missed_steps=[*map(int, listed.split(","))] if listed else [],
             wall_s=float(values["wall_s"]) if "wall_s" in values else None,
             trip=trip,
             saturation={
@@ -321,10 +318,6 @@ def read_outcome(status: Status, timebase: Timebase) -> Outcome | None:
         raise WireError(f"status of the {phase} rig: {error.args[0]} is missing") from None
     except (AttributeError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise WireError(f"status of the {phase} rig: {error}") from None
-
-
-def _steps(text: str) -> list[int]:
-    return [int(step) for step in text.split(",")] if text else []
 
 
 def _simulated(text: str) -> Simulated:
@@ -366,9 +359,7 @@ class LinkReport:
 
     def to_json(self) -> str:
         """Text for a status."""
-        return json.dumps(
-            {"ages": {str(age): n for age, n in self.ages.items()}, "held": self.held}
-        )
+        return json.dumps({"ages": dict(self.ages), "held": self.held})
 
     @classmethod
     def from_json(cls, text: str) -> "LinkReport":

@@ -377,13 +377,8 @@ def topics_of(rigs: Sequence[RigAxes]) -> tuple[Topic, ...]:
     for topic in TOPICS:
         if topic in RIG_TOPICS:
             found += [topic.of(rig) for rig in rigs]
-            continue
-        publisher = topic.publisher
-        if publisher in RIG_NODES:
-            publisher = rigs[0].node(publisher)
-        found.append(
-            replace(
-                topic, publisher=publisher, subscribers=tuple(with_rigs(topic.subscribers, rigs))
-            )
-        )
+        else:
+            own, readers = topic.publisher, tuple(with_rigs(topic.subscribers, rigs))
+            publisher = rigs[0].node(own) if own in RIG_NODES else own
+            found.append(replace(topic, publisher=publisher, subscribers=readers))
     return tuple(found)

@@ -254,8 +254,7 @@ class TrajectoryCodec:
         return bytes(message)
 
     def _layout(self, count: int, carried: tuple[str, ...] = ()) -> Layout:
-        layout = self._layouts.get((count, carried))
-        if layout is None:
+        if (layout := self._layouts.get((count, carried))) is None:
             if len(self._layouts) > 64:
                 self._layouts.clear()
             layout = Layout.of(self.topic, self.axes, self.timebase, count, carried)
@@ -388,11 +387,8 @@ def _of_layout(codec: TrajectoryCodec, rows: _Bytes, layout: Layout) -> tuple[In
     """Read messages as if they had a layout: steps, values, and which of them are valid so."""
     (count, length), size = rows.shape, len(layout.template)
     if not count or length < size:
-        return (
-            np.zeros(count, np.int64),
-            np.empty((count, layout.values.size)),
-            np.zeros(count, bool),
-        )
+        nothing = np.zeros(count, np.int64)
+        return nothing, np.empty((count, layout.values.size)), nothing.astype(bool)
     seconds = rows[:, 4:8].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = rows[:, 8:12].copy().view("<u4")[:, 0]
     steps, fits = codec.timebase.steps(seconds * topics.NANOSECONDS_PER_SECOND + nanoseconds)
