@@ -74,17 +74,14 @@ class Experiment:
             for name in filter(FACTS.__contains__, own):
                 first, value = known.setdefault(name, (node, own[name]))
                 if not agree(name, own[name], value):
-                    raise InputError(
-                        f"{node}: {name} is {own[name]}, but {first} has {value}; "
-                        f"set it once, under {EVERY_NODE}"
-                    )
+                    other = f"{first} has {value}; set it once, under {EVERY_NODE}"
+                    raise InputError(f"{node}: {name} is {own[name]}, but {other}")
         common = next(iter(self.sections.values()))
         self.timebase = Timebase.from_rate(common["rate"])
         self.axes = tuple(common["axes"])
         if len(self.axes) > MAX_AXES:
-            raise InputError(
-                f"{EVERY_NODE}: there are {len(self.axes)} axes, but a test has at most {MAX_AXES}"
-            )
+            most = f"a test has at most {MAX_AXES}"
+            raise InputError(f"{EVERY_NODE}: there are {len(self.axes)} axes, but {most}")
         if len(set(self.axes)) != len(self.axes) or not all(self.axes):
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")
         if not "".join(self.axes).isprintable():
@@ -219,10 +216,8 @@ class Source:
         for name, value in section.items():
             if name.split(".")[0] in _OF_ROS:
                 if name == "use_sim_time" and value is True:
-                    raise InputError(
-                        f"{where}: use_sim_time is true, but nodes of seft follow the samples of "
-                        "the rig, not /clock; leave it out"
-                    )
+                    other = "nodes of seft follow the samples of the rig, not /clock; leave it out"
+                    raise InputError(f"{where}: use_sim_time is true, but {other}")
             elif place == EVERY_NODE:
                 self._add_everywhere(name, value, where)
             elif place not in self.nodes:

@@ -50,10 +50,8 @@ def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -
         return array.reshape(count, count)
     if array.size in (1, count):
         return np.diag(np.broadcast_to(array, count))
-    raise InputError(
-        f"{where}: {array.size} values for {count} axes [{', '.join(axes)}]; give 1, {count} "
-        f"(a diagonal) or {count * count} (a matrix, row by row)"
-    )
+    mend = f"give 1, {count} (a diagonal) or {count * count} (a matrix, row by row)"
+    raise InputError(f"{where}: {array.size} values for {count} axes [{', '.join(axes)}]; {mend}")
 
 
 def mass_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

@@ -72,9 +72,8 @@ class Registered:
         try:
             inspect.signature(factory).bind(*known, **options)
         except TypeError as error:
-            raise InputError(
-                f"{where} is {name}, but its settings do not fit {entry.value}: {error}"
-            ) from None
+            why = f"its settings do not fit {entry.value}: {error}"
+            raise InputError(f"{where} is {name}, but {why}") from None
         return factory(*known, **options)
 
     def row(self, name: str, default: str, description: str) -> Parameter:
@@ -120,9 +119,8 @@ def _run(file: Path, version: int, where: str) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise InputError(
-            f"{where}: {file.name}{line_in(error, str(file))}: {reason_of(error)}"
-        ) from None
+        place = f"{file.name}{line_in(error, str(file))}"
+        raise InputError(f"{where}: {place}: {reason_of(error)}") from None
     return module
 
 
@@ -158,10 +156,8 @@ def _load(entry: EntryPoint, where: str) -> Any:
         return entry.load()
     except Exception as error:
         package = entry.dist.name if entry.dist is not None else entry.value.partition(":")[0]
-        raise InputError(
-            f"{where} is {entry.name}, but package {package} has no {entry.value} that can be "
-            f"loaded: {reason_of(error)}"
-        ) from None
+        other = f"package {package} has no {entry.value} that can be loaded: {reason_of(error)}"
+        raise InputError(f"{where} is {entry.name}, but {other}") from None
 
 
 def _settings(text: str, where: str) -> dict[str, Any]:

@@ -115,9 +115,8 @@ def check_shared_memory(folder: Path = FOLDER) -> None:
             os.posix_fallocate(file.fileno(), 0, 2 * os.sysconf("SC_PAGESIZE"))
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            raise InputError(
-                f"{folder} is full, and no ROS process can start: remove unused files there"
-            ) from None
+            why = "and no ROS process can start: remove unused files there"
+            raise InputError(f"{folder} is full, {why}") from None
 
 
 def single_instance(domain: int, node: str) -> socket.socket:

@@ -53,9 +53,8 @@ def starting_ros() -> Iterator[None]:
     except Exception as error:  # rclpy has several kinds, most of them private
         named = ", ".join(sorted(name for name in os.environ if name.startswith(_OF_ROS)))
         causes = f"its arguments, and {named}" if named else "its arguments"
-        raise InputError(
-            f"ROS does not start: {str(error).splitlines()[0]}; check {causes}"
-        ) from None
+        why = str(error).splitlines()[0]
+        raise InputError(f"ROS does not start: {why}; check {causes}") from None
 
 
 _OF_ROS = ("ROS_", "RMW_", "RCUTILS_", "RCL_", "FASTRTPS_", "FASTDDS_")  # variables

@@ -218,9 +218,7 @@ def rig_of(endpoint: Endpoint, experiment: Experiment) -> tuple[RigAxes, str]:
         return whole, namespace
     known = " or ".join(f"-r __ns:={above if last in rigs else namespace}/{rig}" for rig in rigs)
     if name not in topics.RIG_NODES:
-        raise InputError(
-            f"{name} serves all rigs and can't be in {namespace}, which is one rig's namespace"
-        )
+        raise InputError(f"{name} serves all rigs and can't be in {namespace}, one rig's namespace")
     if last not in rigs:
         raise InputError(
             f"{name} is in namespace {namespace or '/'}, but the axes {list(experiment.axes)} are "

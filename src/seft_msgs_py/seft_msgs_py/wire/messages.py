@@ -197,9 +197,8 @@ def _text(value: str, where: str) -> str:
 
 def _time(stamp_ns: int) -> Any:
     if type(stamp_ns) is not int or not 0 <= stamp_ns < _LATEST_NS:
-        raise WireError(
-            f"stamp is {stamp_ns!r}, but must be an int of nanoseconds from 0 to {_LATEST_NS - 1}"
-        )
+        need = f"must be an int of nanoseconds from 0 to {_LATEST_NS - 1}"
+        raise WireError(f"stamp is {stamp_ns!r}, but {need}")
     seconds, remainder = divmod(stamp_ns, topics.NANOSECONDS_PER_SECOND)
     return _make("builtin_interfaces/msg/Time", sec=seconds, nanosec=remainder)
 
@@ -261,6 +260,5 @@ def _number(text: str, name: str, status: str) -> float:
     with suppress(ValueError):
         if math.isfinite(number := float(text)):
             return number
-    raise WireError(
-        f"{topics.ESTIMATES.name}: {name} of {status} is {text}, but must be a finite number"
-    )
+    need = "must be a finite number"
+    raise WireError(f"{topics.ESTIMATES.name}: {name} of {status} is {text}, but {need}")

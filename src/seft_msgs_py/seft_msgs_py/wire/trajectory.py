@@ -292,9 +292,8 @@ class TrajectoryCodec:
         message = parse_trajectory(raw, self.topic.name)
         name = self.topic.name
         if message.axes != self.axes:
-            raise WireError(
-                f"{name}: axes are {list(message.axes)}, not {list(self.axes)} as configured"
-            )
+            wanted = f"{list(self.axes)} as configured"
+            raise WireError(f"{name}: axes are {list(message.axes)}, not {wanted}")
         if not message.points:
             raise WireError(f"{name}: the message holds no point")
         points = self.topic.points(len(message.points))

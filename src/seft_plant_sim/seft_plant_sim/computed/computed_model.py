@@ -105,17 +105,13 @@ class ComputedModel:
         name, dofs = self._source.name, self._source.dofs
         if isinstance(axes, int):
             if axes not in (len(self._source.influence.T), len(dofs)):
-                raise ModelError(
-                    f"{MODEL_PARAMETER}: {name} has {axes} axes, but the test has "
-                    f"{len(self._source.influence.T)}: {', '.join(dofs)}"
-                )
+                other = f"the test has {len(self._source.influence.T)}: {', '.join(dofs)}"
+                raise ModelError(f"{MODEL_PARAMETER}: {name} has {axes} axes, but {other}")
             return tuple(range(axes))
         named = axes if isinstance(axes, list) else []
         if not named or any(axis not in dofs or named.count(axis) > 1 for axis in named):
-            raise ModelError(
-                f"{MODEL_PARAMETER}: axes of {name} are {axes}, but must be their number, or "
-                f"different ones of {', '.join(dofs)}"
-            )
+            need = f"must be their number, or different ones of {', '.join(dofs)}"
+            raise ModelError(f"{MODEL_PARAMETER}: axes of {name} are {axes}, but {need}")
         return tuple(map(dofs.index, named))
 
     def start(self, dt: float) -> ModelState:

@@ -75,10 +75,8 @@ class ComputedSubstructure:
         else:
             mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
         if q and np.linalg.eigvalsh(mass[n:, n:])[0] <= 0.0:
-            raise InputError(
-                f"{where}.mass is {given['mass']}, but the mass of the internal "
-                "degrees of freedom must be positive (definite)"
-            )
+            other = "the mass of the internal degrees of freedom must be positive (definite)"
+            raise InputError(f"{where}.mass is {given['mass']}, but {other}")
         damping, stiffness = (
             symmetric_matrix(given[name], names, f"{where}.{name}")
             for name in ("damping", "stiffness")

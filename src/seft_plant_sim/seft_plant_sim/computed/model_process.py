@@ -31,7 +31,7 @@ ENDING_TIME = 2.0  # s, for a model to close itself
 LONGEST_OUTPUT = 20_000
 """Characters that are shown of what one process prints."""
 _MAIN = "from seft_plant_sim.computed.model_worker import main; main()"
-_HEADER = 4  # bytes
+_HEADER = 4  # bytes with the size of a message of a `Connection`
 _FRAME = re.compile(r'File "([^"<]+)", line (\d+) in ')
 
 
@@ -110,7 +110,7 @@ class ModelProcess:
         """
         patience = STEP_TIME if self._in_flight == "step" else START_TIME
         deadline, received = time.monotonic() + patience, b""
-        while len(received) < _HEADER or len(received) - _HEADER < _size(received):
+        while len(received) < _HEADER + int.from_bytes(received[:_HEADER], "big"):  # the size
             left = max(0.0, deadline - time.monotonic())
             ready = {file for file, _ in self._poller.poll(1e3 * left)}
             if self._output.file in ready and not self._output.show():
@@ -154,12 +154,9 @@ class ModelProcess:
     def _fail_ended(self) -> NoReturn:
         if not self._wait_for_end():
             self._fail("its process answers no more: it has closed the connection")
-        code = self._process.wait()
-        if code < 0:
-            how = f"was ended by {signal.Signals(-code).name}"
-        else:
-            how = f"has ended with exit status {code}"
-        self._fail(f"its process {how}{self._place()}")
+        if (code := self._process.wait()) < 0:
+            self._fail(f"its process was ended by {signal.Signals(-code).name}{self._place()}")
+        self._fail(f"its process has ended with exit status {code}{self._place()}")
 
     def _fail(self, why: str) -> NoReturn:
         """End the process, and raise the error of the call."""
@@ -181,13 +178,7 @@ class ModelProcess:
         return ""
 
     def _said(self) -> str:
-        last = self._output.last
-        return f" (it printed: {last})" if last else ""
-
-
-def _size(received: bytes) -> int:
-    """Size of a message of a `Connection`, whose first bytes these are."""
-    return int.from_bytes(received[:_HEADER], "big")
+        return f" (it printed: {self._output.last})" if self._output.last else ""
 
 
 class _Output:

@@ -167,44 +167,36 @@ class ModelWorker:
     def _tangent(self, name: str, size: int) -> Floats | None:
         """Stiffness or damping that the model gives, shape (m, m); None if it gives none."""
         own = self._own
-        if not hasattr(type(own), name) and name not in getattr(own, "__dict__", {}):
-            return None
-        value = getattr(own, name)
-        if value is None:
+        is_given = hasattr(type(own), name) or name in getattr(own, "__dict__", {})
+        if not is_given or (value := getattr(own, name)) is None:
             return None
         matrix = _numbers(value)
         if matrix is not None and matrix.shape in ((), (1,)):
             matrix = matrix * np.eye(size)
         if matrix is None or matrix.shape != (size, size) or not np.isfinite(matrix).all():
-            raise self._wrong(
-                f"{name} is {reprlib.repr(value)}, but must be finite, of shape {size, size}"
-            )
+            need = f"but must be finite, of shape {size, size}"
+            raise self._wrong(f"{name} is {reprlib.repr(value)}, {need}")
         return matrix
 
     def _responses(self) -> dict[str, float]:
         if not hasattr(self._own, "responses"):
             return {}
         found = self._own.responses()
-        if not isinstance(found, Mapping) or not all(
-            isinstance(name, str) and name.isprintable() for name in found
-        ):
-            raise self._wrong(
-                f"responses gives {reprlib.repr(found)}, but must give printable names and numbers"
-            )
+        names = found if isinstance(found, Mapping) else [None]
+        if not all(isinstance(name, str) and name.isprintable() for name in names):
+            need = "but must give printable names and numbers"
+            raise self._wrong(f"responses gives {reprlib.repr(found)}, {need}")
         return {str(name): float(value) for name, value in found.items()}
 
     def _checked(self, force: Any, size: int) -> Floats:
         """Check that the force is one finite number for each axis."""
         found = None if force is None else _numbers(force)
         if found is None:
-            raise self._wrong(
-                f"step gives no numbers ({reprlib.repr(force)}), but must give the force in N"
-            )
+            need = "but must give the force in N"
+            raise self._wrong(f"step gives no numbers ({reprlib.repr(force)}), {need}")
         if found.shape != (size,):
-            raise self._wrong(
-                f"step gives a force of the shape {found.shape}, but must give {(size,)}: one "
-                "value in N for each axis"
-            )
+            need = f"but must give {(size,)}: one value in N for each axis"
+            raise self._wrong(f"step gives a force of the shape {found.shape}, {need}")
         if not np.isfinite(found).all():
             raise self._wrong(f"step gives a force that is not finite: {found.tolist()} N")
         return found
@@ -212,9 +204,8 @@ class ModelWorker:
     def _wrong(self, what: str) -> InputError:
         """Make the error of a value that the model gives; it names the line of the method."""
         line = self._first_line(what.split()[0])
-        return InputError(
-            f"{MODEL_PARAMETER}: {self._name}{f' line {line}' if line else ''}: {what}"
-        )
+        where = f"{self._name} line {line}" if line else self._name
+        return InputError(f"{MODEL_PARAMETER}: {where}: {what}")
 
     def _file(self) -> str | None:
         """File that defines the model."""

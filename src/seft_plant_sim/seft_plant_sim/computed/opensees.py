@@ -70,9 +70,8 @@ class OpenSees:
         global _runs_script
         _runs_script = True
         if not Path(script).is_file():
-            raise InputError(
-                f"reference_force: computed.settings: there is no script {script}; give its path"
-            )
+            where = "reference_force: computed.settings"
+            raise InputError(f"{where}: there is no script {script}; give its path")
         try:
             import openseespy.opensees as ops
         except Exception as error:
@@ -118,9 +117,8 @@ class OpenSees:
         except _InterfaceReached as reached:
             self._axes, names, self._responses = reached.args
         else:
-            raise ValueError(
-                "the script has no line interface(...), which says where the axes act on the model"
-            )
+            what = "interface(...), which says where the axes act on the model"
+            raise ValueError(f"the script has no line {what}")
         for node, direction in itertools.chain.from_iterable(self._axes):
             if mass := ops.nodeMass(node, direction):
                 raise ValueError(

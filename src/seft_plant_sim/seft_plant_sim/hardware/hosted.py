@@ -135,7 +135,7 @@ class HostedHardware:
         self._base = None if safe.holds else np.zeros(len(rig.axes))
         self.can_wait: bool = getattr(self._device, "can_wait", False)
         self.is_clock: bool = getattr(self._device, "is_clock", False)
-        self._is_remote = isinstance(self._device, UdpHardware)
+        self._remote = self._device if isinstance(self._device, UdpHardware) else None
         self._stop: SafeStop | None = None
         self._is_missing = False  # the last sample
         self._file = None
@@ -156,23 +156,18 @@ class HostedHardware:
         except (TypeError, ValueError):
             raise self._wrong("read", f" gave no numbers, but {given!r:.80}") from None
         if sample.shape != self._per_volt.shape:
-            raise self._wrong(
-                "read",
-                f" gave an array of shape {sample.shape}, not {self._per_volt.shape} "
-                "(displacement, velocity, acceleration, force; axes)",
-            )
+            rows = "(displacement, velocity, acceleration, force; axes)"
+            what = f" gave an array of shape {sample.shape}, not {self._per_volt.shape} {rows}"
+            raise self._wrong("read", what)
         sample *= self._per_volt
         self._is_missing = bool(np.isnan(sample).all())
         sample[self._derived] = 0.0
-        if not (self._is_remote or np.isfinite(sample).all()):  # a lost sample is judged
+        if not (self._remote or np.isfinite(sample).all()):  # a lost sample is judged
             row, axis = np.argwhere(~np.isfinite(sample))[0].tolist()
-            name = CHANNELS[row]
-            hint = f"; if it has no such sensor, give /**: sensors.{name}: derived"
-            raise self._wrong(
-                "read",
-                f" gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
-                f"{hint if row in (VELOCITY, ACCELERATION) else ''}",
-            )
+            what = f" gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
+            if row in (VELOCITY, ACCELERATION):
+                what += f"; if it has no such sensor, give /**: sensors.{CHANNELS[row]}: derived"
+            raise self._wrong("read", what)
         return sample
 
     def write(self, drive: Floats) -> None:
@@ -212,8 +207,7 @@ class HostedHardware:
     @property
     def missing(self) -> str:
         """Say that a controller's last sample did not come; empty if it did."""
-        remote = self._device if isinstance(self._device, UdpHardware) else None
-        return remote.missing() if remote and self._is_missing else ""
+        return self._remote.missing() if self._remote and self._is_missing else ""
 
     def stop(self, plan: Floats, planned: Floats | None, last: Floats, safe: Safe) -> None:
         """Begin to obey a plan, and then to close the valve, see `SafeStop`."""
@@ -228,8 +222,7 @@ class HostedHardware:
 
         If it does not come to rest, that is said after ``Safe.longest`` steps.
         """
-        stopped = None if self._stop is None else self._stop.next(measured)
-        if stopped is not None:
+        if stopped := self._stop and self._stop.next(measured):
             self._stop = None
         return stopped
 
@@ -239,7 +232,7 @@ class HostedHardware:
     @property
     def counts(self) -> Mapping[str, int]:
         """Number of datagrams that were not obeyed, by kind, of a controller at the other end."""
-        return self._device.counts if isinstance(self._device, UdpHardware) else {}
+        return self._remote.counts if self._remote else {}
 
     @property
     def is_stopping(self) -> bool:
@@ -262,15 +255,13 @@ class HostedHardware:
         try:
             result = getattr(self._device, method)(*arguments)
         except (Exception, SystemExit) as error:
-            if self._is_remote:
+            if self._remote:
                 raise HardwareError(reason_of(error)) from error
             raise self._wrong(method, f": {reason_of(error)}", error) from error
         took = self._now() - begun
-        if took > longest * self._period and not self._is_remote:  # which has its own timeout
-            raise self._wrong(
-                method,
-                f" took {took * 1e3:.3g} ms, more than a period of {self._period * 1e3:g} ms",
-            )
+        if took > longest * self._period and not self._remote:  # which has its own timeout
+            period = f"more than a period of {self._period * 1e3:g} ms"
+            raise self._wrong(method, f" took {took * 1e3:.3g} ms, {period}")
         return result
 
     def _wrong(self, method: str, what: str, error: BaseException | None = None) -> HardwareError:
@@ -296,6 +287,6 @@ def _device(section: Mapping[str, Any], axes: tuple[str, ...]) -> Hardware:
     except (Exception, SystemExit) as error:
         below = traceback.extract_tb(error.__traceback__)[2:]  # this function and `make`
         line = line_in(error, below[0].filename) if below else ""
-        text = f"rig: hardware: {name}{line} can't be made: {reason_of(error)}"
-        raise InputError(text) from None
+        why = f"can't be made: {reason_of(error)}"
+        raise InputError(f"rig: hardware: {name}{line} {why}") from None
     return made

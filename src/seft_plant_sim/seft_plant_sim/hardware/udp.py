@@ -239,7 +239,8 @@ class UdpHardware:
             return "truncated" if end != size else "corrupted"
         if kind := self._out_of_order(step):
             return kind
-        self._waiting.append((step, _values(raw, n)))
+        values = np.frombuffer(raw, "<f8", 4 * n, _HEADER.size + _TIME.size)
+        self._waiting.append((step, values.reshape(4, n).astype(np.float64)))
         self._heard = time.monotonic()
         self._follow_state(state)
         self._follow_rate(step, _TIME.unpack_from(raw, _HEADER.size)[0])
@@ -306,11 +307,6 @@ class UdpHardware:
 def _ahead(step: int, other: int) -> int:
     """Count the steps by which one is ahead of another; after 2^32 - 1 they go on at 0."""
     return (step - other + _STEPS // 2) % _STEPS - _STEPS // 2
-
-
-def _values(raw: bytes, n: int) -> Floats:
-    values = np.frombuffer(raw, "<f8", 4 * n, _HEADER.size + _TIME.size)
-    return values.reshape(4, n).astype(np.float64)
 
 
 def _open(address: str, port: int) -> tuple[socket.socket, tuple[str, int]]:

@@ -65,10 +65,8 @@ class Hydraulics:
         InputError
             If sizes do not fit the axes.
         """
-        values = {
-            name: per_axis(group[name], axes, f"rig: simulated.actuator.{name}") for name in _NAMES
-        }
-        return cls(**values)
+        where, names = "rig: simulated.actuator", cls.__dataclass_fields__
+        return cls(*(per_axis(group[name], axes, f"{where}.{name}") for name in names))
 
     def part(self, places: Sequence[int]) -> "Hydraulics":
         """Take the actuators at some places among the axes."""
@@ -113,16 +111,10 @@ class InnerLoop:
         InputError
             If sizes do not fit the axes.
         """
-        where = "rig: simulated.actuator.servo"
-        return cls(
-            *(
-                per_axis(group[f"servo.{name}"], axes, f"{where}.{name}")[list(places)]
-                for name in cls.__dataclass_fields__
-            )
-        )
+        where, names = "rig: simulated.actuator", [f"servo.{n}" for n in cls.__dataclass_fields__]
+        every = (per_axis(group[name], axes, f"{where}.{name}") for name in names)
+        return cls(*(values[list(places)] for values in every))
 
-
-_NAMES = tuple(Hydraulics.__dataclass_fields__)
 
 STOP_STIFFNESS = 2.0  # of the end stops, over the oil's
 STOP_DAMPING = 2.0  # s/m: a stop pushes that much harder per velocity (Hunt & Crossley 1975)

@@ -16,16 +16,8 @@ from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.lti import TransferFunction, first_order_hold
-from seft_plant_sim.simulated import springs
-from seft_plant_sim.simulated.actuator import COLUMNS as PISTON
-from seft_plant_sim.simulated.actuator import (
-    FASTEST,
-    Hydraulics,
-    InnerLoop,
-    holding_force,
-    lost_opening,
-    piston_rows,
-)
+from seft_plant_sim.simulated import actuator, springs
+from seft_plant_sim.simulated.actuator import Hydraulics, InnerLoop
 from seft_plant_sim.simulated.specimen import Specimen
 
 Drive = Literal["valve_command", "reference_force"]
@@ -102,7 +94,12 @@ class ContinuousModel:
     ) -> "ContinuousModel":
         """Make a model without residuals."""
         n = b.shape[1]
-        residuals = np.zeros((len(a), 0)), np.zeros((len(c), 0)), np.zeros((0, PISTON)), ()
+        residuals = (
+            np.zeros((len(a), 0)),
+            np.zeros((len(c), 0)),
+            np.zeros((0, actuator.COLUMNS)),
+            (),
+        )
         delays = np.broadcast_to(np.asarray(delay, dtype=np.float64), n)
         return cls(a, b, c, d, delays, drive, *residuals, np.zeros((0, n)), np.full(n, np.inf))
 
@@ -261,7 +258,7 @@ def servo_hydraulic(
         model = replace(
             model,
             drive_limit=hydraulics.rated_voltage,
-            pistons=piston_rows(hydraulics, np.diag(specimen.mass)),
+            pistons=actuator.piston_rows(hydraulics, np.diag(specimen.mass)),
             inputs=inputs,
             outputs=outputs,
         )
@@ -287,10 +284,8 @@ def with_inner_loop(model: ContinuousModel, loop: InnerLoop, stroke: Floats) -> 
     w = 2 * np.pi * loop.derivative_filter
     x, p = slice(n), slice(2 * n, 3 * n)
     # drive of the valves per state and per command
-    by_state, by_error = (
-        np.zeros((n, size + 2 * n)),
-        np.diag(loop.proportional + loop.derivative * w),
-    )
+    by_state = np.zeros((n, size + 2 * n))
+    by_error = np.diag(loop.proportional + loop.derivative * w)
     by_state[:, x], by_state[:, p] = -by_error, -np.diag(loop.delta_p)
     by_state[:, size : size + n] = np.diag(loop.integral)
     by_state[:, size + n :] = -np.diag(loop.derivative * w)
@@ -384,7 +379,7 @@ def dynamics_of(model: ContinuousModel, lengths: Sequence[float], longest: float
                 "followed; raise actuator.friction_velocity, or check mass, oil_stiffness and "
                 "springs"
             )
-    stretches = [_stretch(model, time, longest) for time in lengths]
+    stretches = (_stretch(model, time, longest) for time in lengths)
     predict, correct, steps, periods = zip(*stretches, strict=True)
     output = np.hstack([model.c, model.d, model.outputs]).T
     arrays = (output, model.pistons, _laws(model), model.deformation)
@@ -443,8 +438,8 @@ def _residuals(dynamics: Dynamics, period: float, motion: Motion, memory: Floats
     n, m = dynamics.deformation.shape[1], len(dynamics.pistons)
     for i in range(m):
         w, p = z[3 * n + i], z[2 * n + i]
-        residuals[i] = lost_opening(dynamics.pistons, i, w, p, motion.supply[i])
-        residuals[m + i] = holding_force(dynamics.pistons, i, z[i], z[n + i])
+        residuals[i] = actuator.lost_opening(dynamics.pistons, i, w, p, motion.supply[i])
+        residuals[m + i] = actuator.holding_force(dynamics.pistons, i, z[i], z[n + i])
     for j in range(len(dynamics.laws)):
         e = v_0 = v_1 = 0.0
         for i in range(n):
@@ -466,7 +461,7 @@ def _laws(model: ContinuousModel) -> Floats:
 
 def _fastest(model: ContinuousModel) -> float:
     """Largest rate at which a residual responds to a state, 1/s: a step must be shorter."""
-    rates = model.pistons[:, FASTEST].tolist()
+    rates = model.pistons[:, actuator.FASTEST].tolist()
     n, first = model.b.shape[1], 2 * len(model.pistons)
     for j, law in enumerate(_laws(model)):
         if law[springs.SPRING_KIND] in (springs.SLIDER, springs.SPRING_GAP, springs.ONE_SIDED):

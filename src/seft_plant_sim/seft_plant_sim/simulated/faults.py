@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
-from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
+from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import nearest
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
@@ -86,7 +86,11 @@ class Fault:
 
     def error(self, reason: str) -> InputError:
         """Give the error of this fault."""
-        return InputError(f'rig: faults: "{self.text}": {reason}')
+        return _error(self.text, reason)
+
+
+def _error(text: str, reason: str) -> InputError:
+    return InputError(f'rig: faults: "{text}": {reason}')
 
 
 def read_faults(given: str | Sequence[str], axes: Sequence[str]) -> list[Fault]:
@@ -102,9 +106,7 @@ def read_faults(given: str | Sequence[str], axes: Sequence[str]) -> list[Fault]:
 
 
 def _read(text: str, axes: Sequence[str]) -> Fault:
-    def error(reason: str) -> InputError:
-        return InputError(f'rig: faults: "{text}": {reason}')
-
+    error = partial(_error, text)
     words = text.split()
     head, at, tail = words[:2], words[2:], []
     if "at" in at:
@@ -136,10 +138,8 @@ def _read(text: str, axes: Sequence[str]) -> Fault:
         raise error(f"TIME is {tail[0]}, but must be a time in s of the test, 0 to {_LATEST:g}")
     whole = steps is not None and 1 <= steps <= _END and steps.is_integer()
     if len(tail) == 3 and not whole:
-        raise error(
-            f"STEPS is {tail[2]}, but must be a whole number of samples, at least 1 (leave it out "
-            "to go on to the end)"
-        )
+        need = "must be a whole number of samples, at least 1 (leave it out to go on to the end)"
+        raise error(f"STEPS is {tail[2]}, but {need}")
     return Fault(text, axis, what, kind, value, time, None if steps is None else int(steps))
 
 
@@ -246,38 +246,22 @@ def faults_of(
 def _check_part(fault: Fault, section: dict[str, Any]) -> None:
     """Raise `InputError` if a rig has no such part."""
     actuator, bits = section["actuator.kind"], section["simulated.sensors.adc_bits"]
-    if fault.what == "velocity" and section["sensors.velocity"] == "derived":
-        raise fault.error(
-            "the velocity is derived from the displacement (sensors.velocity): there is no sensor "
-            "of it; let the displacement fail"
-        )
-    if fault.what == "acceleration" and section["sensors.acceleration"] == "derived":
-        raise fault.error(
-            "the acceleration is derived (sensors.acceleration): there is no sensor of it; let the "
-            "displacement fail"
-        )
-    if fault.kind == "bit" and not bits:
-        raise fault.error(
-            "there is no converter; give rig: simulated.sensors.adc_bits, and /**: sensors.*_range "
-            "of each channel"
-        )
-    if fault.kind == "bit" and fault.value >= bits:
-        raise fault.error(
-            f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
-        )
-    if fault.what == "supply" and is_imposed(section):
-        raise fault.error(
-            "the rig moves as actuator.response tells, without a valve; give its vendor's loop, "
-            "simulated.actuator.servo.proportional"
-        )
-    if fault.what == "supply" and actuator not in ("servo_hydraulic", POSITION_SERVO):
-        raise fault.error(
-            f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"
-        )
-    if fault.what == "valve" and actuator in ("ideal", "delay") and fault.kind not in _OF_FORCES:
-        raise fault.error(
-            f"actuator.kind {actuator} has no valve: its force can {', '.join(_OF_FORCES)}"
-        )
+    what, is_bit = fault.what, fault.kind == "bit"
+    if what in ("velocity", "acceleration") and section[f"sensors.{what}"] == "derived":
+        why = f"it is derived (sensors.{what}): there is no sensor of it; let the displacement fail"
+    elif is_bit and not bits:
+        why = "there is no converter; give rig: simulated.sensors.adc_bits, /**: sensors.*_range"
+    elif is_bit and fault.value >= bits:
+        why = f"the converter has the bits 0 to {bits - 1} (simulated.sensors.adc_bits)"
+    elif what == "supply" and is_imposed(section):
+        why = "it has no valve; give its vendor's loop, simulated.actuator.servo.proportional"
+    elif what == "supply" and actuator not in ("servo_hydraulic", POSITION_SERVO):
+        why = f"actuator.kind {actuator} has no supply pressure; make that servo_hydraulic"
+    elif what == "valve" and actuator in FORCE_DRIVEN and fault.kind not in _OF_FORCES:
+        why = f"actuator.kind {actuator} has no valve: its force can {', '.join(_OF_FORCES)}"
+    else:
+        return
+    raise fault.error(why)
 
 
 def failing_specimen(faults: Sequence[Fault], own: RigAxes, specimen: Specimen) -> Specimen:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, clear, zeros
-from seft_msgs_py.config.facts import POSITION_SERVO
+from seft_msgs_py.config.facts import FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
@@ -31,13 +31,7 @@ from seft_plant_sim.simulated.continuous_model import (
     servo_hydraulic,
     with_inner_loop,
 )
-from seft_plant_sim.simulated.faults import (
-    Fault,
-    Faults,
-    failing_specimen,
-    faults_of,
-    read_faults,
-)
+from seft_plant_sim.simulated.faults import Fault, Faults, failing_specimen, faults_of, read_faults
 from seft_plant_sim.simulated.rig_step import (
     FORCE_NOW,
     LARGEST_TRAVEL,
@@ -92,15 +86,9 @@ class SimulatedRig:
         n = model.b.shape[1]
         lengths, change, sensing = sensing_of(model, parts, dt)
         dynamics, periods = dynamics_of(model, lengths), int(sensing.whole.max(initial=-1)) + 1
-        self.parameters = RigParameters(
-            dynamics,
-            np.ascontiguousarray(model.drive_limit),
-            longest - wholes,
-            change,
-            sensing,
-            sensors.channels,
-            faults[0],
-        )
+        limit, newer = np.ascontiguousarray(model.drive_limit), longest - wholes
+        seen = sensing, sensors.channels, faults[0]
+        self.parameters = RigParameters(dynamics, limit, newer, change, *seen)
         sizes = {"n": n, "channels": 4 * n, "periods": periods, "read": len(sensing.whole)}
         sizes |= {"line": longest + 2, "faults": len(faults[0].numbers), "memory": faults[1]}
         self.state = zeros(RigState, sizes, motion=at_rest(dynamics))
@@ -218,16 +206,13 @@ def continuous_model(
     specimen = replace(specimen, stiffness=stiffness * specimen.stiffness)
     specimen = failing_specimen(faults, own, specimen)
     actuator, kind = group(section, "simulated.actuator"), section["actuator.kind"]
-    if kind in ("ideal", "delay"):
-        if kind == "ideal" and np.any(actuator["delay"]):
-            raise InputError(
-                "/**: actuator.kind ideal obeys at once, but actuator.delay is "
-                f"{actuator['delay']} s: make the kind delay, or actuator.delay 0"
-            )
-        model = delayed_force(specimen, actuator["delay"])
-        return with_sensors(model, section, axes, own.places)
+    if kind == "ideal" and np.any(actuator["delay"]):
+        other = f"actuator.delay is {actuator['delay']} s: make the kind delay, or actuator.delay 0"
+        raise InputError(f"/**: actuator.kind ideal obeys at once, but {other}")
     hydraulics = Hydraulics.from_parameters(actuator, axes).part(own.places)
-    if is_imposed(section):
+    if kind in FORCE_DRIVEN:
+        model = delayed_force(specimen, actuator["delay"])
+    elif is_imposed(section):
         servos = known_responses(section, axes, own.places)
         model = imposed_motion(specimen, servos, hydraulics.stroke)
     else:

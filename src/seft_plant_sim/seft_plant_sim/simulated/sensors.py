@@ -110,21 +110,15 @@ def with_sensors(
     InputError
         If sizes do not fit the axes, or the tilt mixes axes of different rigs.
     """
-    own = list(places)
-
-    names = "scale", "lag", "filter", "filter_damping"
+    own, names = list(places), ("scale", "lag", "filter", "filter_damping")
     scale, lag, cutoff, damping = (
         per_channel(section, axes, f"simulated.sensors.{{}}_{what}")[:, own] for what in names
     )
     if section["sensors.velocity"] == "derived":  # there is no velocity sensor
         scale[VELOCITY], lag[VELOCITY], cutoff[VELOCITY] = 1.0, 0.0, 0.0
     mix = tilt_of(section, axes, own, "simulated.sensors.tilt")
-    if (
-        (scale == 1.0).all()
-        and not lag.any()
-        and not cutoff.any()
-        and (mix == np.eye(len(mix))).all()
-    ):
+    is_true = (scale == 1.0).all() and (mix == np.eye(len(mix))).all()
+    if is_true and not (lag.any() or cutoff.any()):
         return model
     filters = np.array(filter_of(cutoff.ravel(), damping.ravel()))
     return sensed(model, scale.ravel(), mix, lag.ravel(), filters)

@@ -380,9 +380,8 @@ def make_springs(
     def each(name: str, need: str = "") -> Floats:
         numbers = np.atleast_1d(np.asarray(section[name], dtype=np.float64))
         if numbers.size not in (1, k.size):
-            raise InputError(
-                f"{where}.{name}: {numbers.size} values for {k.size} springs; give 1 or {k.size}"
-            )
+            mend = f"{k.size} springs; give 1 or {k.size}"
+            raise InputError(f"{where}.{name}: {numbers.size} values for {mend}")
         if need and numbers.min() <= 0.0:
             raise InputError(f"{where}.{name} is {section[name]}, but a {kind} specimen {need}")
         return np.broadcast_to(numbers, k.size)
@@ -433,8 +432,6 @@ def make_springs(
 def _registered(kind: str, section: dict[str, Any], where: str, *values: float) -> HystereticSpring:
     made = RESTORING_FORCES.make(kind, section.get("settings", ""), f"{where}.kind", *values)
     if not isinstance(made, HystereticSpring):
-        raise InputError(
-            f"{where}.kind is {kind}, but it makes a {type(made).__name__}; it must be "
-            "a seft_plant_sim.simulated.springs.HystereticSpring"
-        )
+        mend = "it must be a seft_plant_sim.simulated.springs.HystereticSpring"
+        raise InputError(f"{where}.kind is {kind}, but it makes a {type(made).__name__}; {mend}")
     return made

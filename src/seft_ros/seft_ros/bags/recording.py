@@ -59,9 +59,8 @@ class Description:
         try:
             return Experiment(sections)
         except (KeyError, TypeError, ValueError, AttributeError):
-            raise InputError(
-                "the nodes' parameters make no experiment: rate or axes are missing, or are none"
-            ) from None
+            why = "rate or axes are missing, or are none"
+            raise InputError(f"the nodes' parameters make no experiment: {why}") from None
 
 
 def write_description(
@@ -381,6 +380,5 @@ def of_all_rigs(parts: Sequence[Series], rigs: Sequence[RigAxes]) -> Series:
 def require_names(step: int, estimates: Iterable[str], names: Sequence[str]) -> None:
     """Refuse, as WireError, estimates of a step with other names than those of the first."""
     if tuple(estimates) != tuple(names):
-        raise WireError(
-            f"estimates of step {step} are {', '.join(estimates)}, but were {', '.join(names)}"
-        )
+        before = ", ".join(names)
+        raise WireError(f"estimates of step {step} are {', '.join(estimates)}, but were {before}")

@@ -184,10 +184,8 @@ class IdentificationTests:
                 shared.complain(f"{bag}: {why}; it stays, and is not used")
                 continue
             if other := other_test(recording, test, forces):
-                raise InputError(
-                    f"{bag}: is of another test: {other}; name another folder with --out, or "
-                    "move this recording away"
-                )
+                mend = "name another folder with --out, or move this recording away"
+                raise InputError(f"{bag}: is of another test: {other}; {mend}")
             shared.complain(f"{bag}: is used again")
             shared.stands(f"{bag} is whole")
             self.reused.append(name)

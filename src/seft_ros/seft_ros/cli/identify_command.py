@@ -112,9 +112,7 @@ def identify(
     from seft_ros.identification.multisine import plan_multisine
 
     if set(external or ()) - {"rig"}:
-        raise InputError(
-            "--external: only the rig may be external; the other nodes are set up here"
-        )
+        raise InputError("--external: only the rig may be external; other nodes are set up here")
     has_hung = not all(map(math.isnan, known_force))
     given = {"--known-mass": known_mass, "--known-force": has_hung, "--travel": travel is not None}
     if not specimen and any(given.values()):
@@ -122,10 +120,8 @@ def identify(
         raise InputError(f"{one} is that of the multisine test: give --specimen, too")
     experiment = shared.load_experiment(config, param, params_file, external)
     if known_mass and (len(known_mass) != len(experiment.axes) or not min(known_mass) > 0.0):
-        raise InputError(
-            f"--known-mass is {known_mass}, but must be positive, once for each of the axes "
-            f"{', '.join(experiment.axes)}"
-        )
+        need = f"must be positive, once for each of the axes {', '.join(experiment.axes)}"
+        raise InputError(f"--known-mass is {known_mass}, but {need}")
     if has_hung:
         experiment = _with_force(experiment, *known_force)
     if max_displacement != math.inf:
@@ -163,10 +159,8 @@ def identify(
 def _with_force(experiment: Experiment, load: float, shown: float) -> Experiment:
     """Correct the scale of the load cell by a load that hangs on it, and what it shows of that."""
     if len(experiment.axes) > 1:
-        raise InputError(
-            "--known-force is for one load cell; for several axes give /**: "
-            "calibration.force_scale, what each shows over the load"
-        )
+        mend = "for several axes give /**: calibration.force_scale, what each shows over the load"
+        raise InputError(f"--known-force is for one load cell; {mend}")
     ratio = shown / load if load else math.nan
     if not 0.0 < ratio < math.inf:
         raise InputError(

@@ -68,9 +68,8 @@ def load_experiment(
     possible = list(dict.fromkeys([*possible, *with_rigs(possible, experiment.rigs)]))
     for node in external:
         if node not in possible:
-            raise InputError(
-                f"--external {node}: must be one of {', '.join(possible)}{nearest(node, possible)}"
-            )
+            listed = f"{', '.join(possible)}{nearest(node, possible)}"
+            raise InputError(f"--external {node}: must be one of {listed}")
     return experiment
 
 

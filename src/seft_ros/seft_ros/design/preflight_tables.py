@@ -316,10 +316,8 @@ def far_limits(experiment: Experiment, peaks: Mapping[str, float]) -> str:
     ]
     if not far:
         return ""
-    return (
-        f"limits are more than {FAR:g} times the expected peaks: {', '.join(far)}; seft preflight "
-        "CONFIG --write limits.yaml proposes others"
-    )
+    mend = "seft preflight CONFIG --write limits.yaml proposes others"
+    return f"limits are more than {FAR:g} times the expected peaks: {', '.join(far)}; {mend}"
 
 
 def write_limits(file: Path, limits: dict[str, float]) -> None:

@@ -111,9 +111,8 @@ def check_file(path: Path, what: str, suffix: str, known: Sequence[str]) -> Path
     if path.suffix.lower() not in known:
         raise InputError(f"{path}: {what} end in {', '.join(known)}")
     if not path.parent.is_dir():
-        raise InputError(
-            f"{path}: there is no folder {path.parent}; name a file in a folder that exists"
-        )
+        mend = "name a file in a folder that exists"
+        raise InputError(f"{path}: there is no folder {path.parent}; {mend}")
     check_regular(path)
     return path
 

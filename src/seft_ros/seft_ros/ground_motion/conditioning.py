@@ -224,10 +224,8 @@ def correct(
     if method == "offset":
         return centred
     if corner >= 0.5 / dt:
-        raise InputError(
-            f"ground_motion: filter.corner is {corner:g} Hz, but must be below half the record's "
-            f"rate ({0.5 / dt:g} Hz)"
-        )
+        need = f"must be below half the record's rate ({0.5 / dt:g} Hz)"
+        raise InputError(f"ground_motion: filter.corner is {corner:g} Hz, but {need}")
     filtered = high_pass(centred, dt, corner, order, both_ways) if corner else centred
     return filtered - _parabola(filtered, dt)
 

@@ -175,17 +175,14 @@ def files_of(file: str | Sequence[str], axes: Sequence[str]) -> list[str]:
     """
     files = [file] if isinstance(file, str) else list(file)
     if len(files) > 1 and not all(files):
-        raise InputError(
-            f"ground_motion: file is {files}, but a record for each axis must be named"
-        )
+        need = "a record for each axis must be named"
+        raise InputError(f"ground_motion: file is {files}, but {need}")
     by_axis = {axis: name for axis, mark, name in (each.partition("=") for each in files) if mark}
     if by_axis.keys().isdisjoint(axes):
         return [name for name in files if name]
     if sorted(by_axis) != sorted(axes) or len(files) != len(axes):
-        raise InputError(
-            f"ground_motion: file is {files}, but must be AXIS=FILE for each axis of "
-            f"[{', '.join(axes)}], once"
-        )
+        need = f"must be AXIS=FILE for each axis of [{', '.join(axes)}], once"
+        raise InputError(f"ground_motion: file is {files}, but {need}")
     return [by_axis[axis] for axis in axes]
 
 
@@ -199,9 +196,8 @@ def _check_columns(file: Columns, columns: Sequence[int]) -> None:
     rows, count = file.values.shape
     if not columns or not all(0 <= column < count for column in columns):
         holds = f"{count} columns, 0 to {count - 1}" if count > 1 else "one column, 0"
-        raise InputError(
-            f"ground_motion: column is {list(columns)}, but {file.path} has {holds} ({file.layout})"
-        )
+        has = f"{file.path} has {holds} ({file.layout})"
+        raise InputError(f"ground_motion: column is {list(columns)}, but {has}")
     if rows < 2:
         raise InputError(f"{file.path}: holds one sample only; a record needs two at least")
     if len(counts := {file.count(column) for column in columns}) > 1:
@@ -212,10 +208,8 @@ def _check_columns(file: Columns, columns: Sequence[int]) -> None:
     for column in columns:
         file.check_finite(column)
         if why := file.objection(column):
-            raise InputError(
-                f"ground_motion: column is {column}, but that column of {file.path} {why}; "
-                f"choose another, 0 to {count - 1}"
-            )
+            other = f"that column of {file.path} {why}; choose another, 0 to {count - 1}"
+            raise InputError(f"ground_motion: column is {column}, but {other}")
 
 
 def given_unit(text: str) -> str:
@@ -228,10 +222,8 @@ def given_unit(text: str) -> str:
     """
     unit = read_unit(text)
     if text and unit not in GIVEN_UNITS:
-        raise InputError(
-            f"ground_motion: unit is {text}, but must be {', '.join(GIVEN_UNITS)} or gal; convert "
-            "the record to g, m/s2 or cm/s2"
-        )
+        need = f"must be {', '.join(GIVEN_UNITS)} or gal; convert the record to g, m/s2 or cm/s2"
+        raise InputError(f"ground_motion: unit is {text}, but {need}")
     return unit or ""
 
 
@@ -264,14 +256,10 @@ def _period_of(file: Columns, given: float) -> Statement[float]:
                 "ground motion; correct it"
             )
     if own is None and not given:
-        raise InputError(
-            f"{file.path}: states no sampling period; set ground_motion dt (--dt), in s"
-        )
+        raise InputError(f"{file.path}: states no sampling period; set ground_motion dt (--dt)")
     if own and given and not is_same_period(own.value, given):
-        raise InputError(
-            f"ground_motion: dt is {given:g} s, but {file.path} says {own.value:g} s "
-            f"({own.place}); leave dt out to take the file's"
-        )
+        other = f"{file.path} says {own.value:g} s ({own.place}); leave dt out to take the file's"
+        raise InputError(f"ground_motion: dt is {given:g} s, but {other}")
     if own and not given:
         return own
     return Statement(float(given), f"{_GIVEN}; {own.place} agrees" if own else _GIVEN)

@@ -125,15 +125,11 @@ def synthetic_motion(
         If values contradict each other; names the parameter.
     """
     if plateau_end < rise:
-        raise InputError(
-            f"ground_motion: synthetic.plateau_end is {plateau_end:g} s, but must not be before "
-            f"the end of synthetic.rise ({rise:g} s)"
-        )
+        need = f"must not be before the end of synthetic.rise ({rise:g} s)"
+        raise InputError(f"ground_motion: synthetic.plateau_end is {plateau_end:g} s, but {need}")
     if duration < 10 * dt:
-        raise InputError(
-            f"ground_motion: synthetic.duration is {duration:g} s, but must be at least ten "
-            f"times synthetic.dt ({dt:g} s)"
-        )
+        need = f"must be at least ten times synthetic.dt ({dt:g} s)"
+        raise InputError(f"ground_motion: synthetic.duration is {duration:g} s, but {need}")
     if filters["ground_frequency"] >= 0.5 / dt:
         raise InputError(
             f"ground_motion: synthetic.ground_frequency is {filters['ground_frequency']:g} Hz, but "
@@ -144,10 +140,8 @@ def synthetic_motion(
     motion *= envelope(dt * np.arange(steps), rise, plateau_end, decay)
     largest = np.abs(motion).max()
     if not largest > 0:
-        raise InputError(
-            "ground_motion: synthetic.* make a motion that is zero; "
-            "check synthetic.rise against synthetic.duration"
-        )
+        mend = "check synthetic.rise against synthetic.duration"
+        raise InputError(f"ground_motion: synthetic.* make a motion that is zero; {mend}")
     return motion * (peak / largest)
 
 
@@ -187,10 +181,8 @@ def excitation(
     """
     low, high = band
     if not 0 < low < high < 0.5 / dt:
-        raise InputError(
-            f"--band is {low:g} to {high:g} Hz, but must rise, and lie within 0 and half the "
-            f"rate, {0.5 / dt:g} Hz"
-        )
+        need = f"must rise, and lie within 0 and half the rate, {0.5 / dt:g} Hz"
+        raise InputError(f"--band is {low:g} to {high:g} Hz, but {need}")
     shortest = shortest_duration(band)
     if steps * dt < shortest - dt:
         raise InputError(

@@ -140,13 +140,12 @@ class ForceControllerNode(NodeBody):
         step, values = self._state_codec.decode(raw)
         state = values[0]
         self._begin_with(step)
-        self._order.check(topics.RIG_STATE.name, step)
+        name, newest = topics.RIG_STATE.name, max(self._states, default=-1)
+        self._order.check(name, step)
         if step in self._states:
-            raise WireError(f"{topics.RIG_STATE.name} of step {step} a second time")
-        if self._states and step < max(self._states):
-            raise WireError(
-                f"{topics.RIG_STATE.name} of step {step} after that of {max(self._states)}"
-            )
+            raise WireError(f"{name} of step {step} a second time")
+        if step < newest:
+            raise WireError(f"{name} of step {step} after that of {newest}")
         was_tripped = bool(self._controller.reason)
         self._controller.look(step, state)
         if self._controller.reason and not was_tripped:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section, as_matrix, nearest, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase, of_one_rig
@@ -45,14 +46,8 @@ DRAWN_QUANTITIES = {
     "rig:simulated.specimen.gap.width": 1.0,
     "rig:simulated.specimen.gap.stiffness": 1.0,
     "rig:simulated.specimen.duffing.cubic": 1.0,
-    "rig:simulated.sensors.displacement_scale": 0.1,  # it is calibrated
-    "rig:simulated.sensors.velocity_scale": 0.1,
-    "rig:simulated.sensors.acceleration_scale": 0.1,
-    "rig:simulated.sensors.force_scale": 0.1,
-    "rig:simulated.sensors.displacement_filter": 0.1,
-    "rig:simulated.sensors.velocity_filter": 0.1,
-    "rig:simulated.sensors.acceleration_filter": 0.1,
-    "rig:simulated.sensors.force_filter": 0.1,
+    **{f"rig:simulated.sensors.{name}_scale": 0.1 for name in CHANNELS},  # they are calibrated
+    **{f"rig:simulated.sensors.{name}_filter": 0.1 for name in CHANNELS},
     "ground_motion:peak_force": 1.0,
     "ground_motion:influence": 1.0,  # in place of peak_force where the motion is as recorded
     "ground_motion:synthetic.ground_frequency": 3.0,
@@ -62,10 +57,7 @@ DRAWN_QUANTITIES = {
 
 DRAWN_OFFSETS = {
     # s: of two filters alike, of 60 Hz, whose corners differ by a tenth of the spread
-    "rig:simulated.sensors.displacement_lag": 5e-4,
-    "rig:simulated.sensors.velocity_lag": 5e-4,
-    "rig:simulated.sensors.acceleration_lag": 5e-4,
-    "rig:simulated.sensors.force_lag": 5e-4,
+    **{f"rig:simulated.sensors.{name}_lag": 5e-4 for name in CHANNELS},
     "rig:simulated.sensors.tilt": 0.1,  # rad: between the axes of a rig
 }
 """Largest addition to parameters that are zero where nothing is wrong, in units of the spread."""
@@ -152,7 +144,7 @@ def draw_tests(
         values = np.array([np.ravel(one[node][name]) for one in drawn])
         for label, place in _places(base[node], quantity, axes, timebase):
             own_values = values[:, place]
-            if not np.any(own_values != configured[place]):
+            if (own_values == configured[place]).all():
                 continue
             if quantity in DRAWN_OFFSETS:
                 offsets[label] = own_values - configured[place]
@@ -227,19 +219,14 @@ def check_rig(section: Section, axes: tuple[str, ...], timebase: Timebase, numbe
     except InputError as error:
         if number == 0:
             raise
-        raise InputError(
-            f"drawn test {number}: {error}; a smaller spread keeps rigs possible"
-        ) from None
+        why = f"{error}; a smaller spread keeps rigs possible"
+        raise InputError(f"drawn test {number}: {why}") from None
 
 
 def _of_node(node: str) -> dict[str, float]:
     """Uncertainties of a node's parameters, by their names there."""
-    own = f"{node}:"
-    return {
-        quantity.removeprefix(own): uncertainty
-        for quantity, uncertainty in DRAWN_QUANTITIES.items()
-        if quantity.startswith(own)
-    }
+    split = ((quantity.split(":"), value) for quantity, value in DRAWN_QUANTITIES.items())
+    return {name: value for (place, name), value in split if place == node}
 
 
 def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float, n: int) -> Floats:
@@ -344,10 +331,8 @@ class StudyDesign:
     def records(self) -> dict[str, bytes]:
         """Read the files of the ground motions."""
         motion, axes = self.experiment["ground_motion"], self.experiment.axes
-        files = {file for name in FILES for file in files_of(motion[name], axes)} | {
-            *self.drawn.motions
-        }
-        return {file: Path(file).read_bytes() for file in sorted(files)}
+        files = {file for name in FILES for file in files_of(motion[name], axes)}
+        return {name: Path(name).read_bytes() for name in sorted(files.union(self.drawn.motions))}
 
 
 def design_study(
@@ -374,20 +359,16 @@ def design_study(
     InputError
         If a method is unknown, a mass ratio is out of bounds, or no method is possible.
     """
-    own = experiment["reference_force"]
-    chosen = [*(methods or [own["compensation.method"]])]
-    if EVERY_METHOD in chosen:
-        chosen = [*COMPENSATION_METHODS]
+    own, known = experiment["reference_force"], COMPENSATION_METHODS
+    chosen = [*(known if EVERY_METHOD in methods else methods or [own["compensation.method"]])]
     for name in chosen:
-        if name not in COMPENSATION_METHODS:
+        if name not in known:
             raise InputError(
                 f"--method {name}: must be {EVERY_METHOD} or one of "
-                f"{', '.join(COMPENSATION_METHODS)}{nearest(name, COMPENSATION_METHODS)}"
+                f"{', '.join(known)}{nearest(name, known)}"
             )
-    ratios = [
-        REFERENCE_FORCE_TABLE.check({"mass_ratio": ratio}, "--mass-ratio")["mass_ratio"]
-        for ratio in mass_ratios
-    ]
+    check = REFERENCE_FORCE_TABLE.rows["mass_ratio"].check
+    ratios = [check(ratio, "--mass-ratio") for ratio in mass_ratios]
     # errors of the experiment itself come before those of a method
     method_inputs(own, experiment.axes, experiment.timebase)
     force_control(experiment["force_controller"], experiment.axes, experiment.timebase)

@@ -29,20 +29,16 @@ def headline(result: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     """Say the result of one method at one mass ratio in one sentence."""
     lost, total, errors = result["trips"], summary["tests"], result["distribution"]["displacement"]
     ends = f"{lost['count']} of {total} tests" if lost["count"] else f"none of {total} tests"
-    known = [name for name in ("p95", "p90", "median") if errors[name] is not None]
-    wrong = "".join(
-        f"{100 * STUDY_QUANTILES[name]:g} % of the tests are at most {percent(errors[name])} wrong "
-        "in displacement; "
-        for name in known[:1]
-    )
-    said = (
-        f"{_name(result)}: {wrong}{ends} tripped or became unstable (with 95 % confidence not more "
-        f"than {percent(lost['interval_95'][1])} do)"
-    )
+    said = f"{_name(result)}: "
+    if known := [name for name in ("p95", "p90", "median") if errors[name] is not None]:
+        said += f"{100 * STUDY_QUANTILES[known[0]]:g} % of the tests are at most "
+        said += f"{percent(errors[known[0]])} wrong in displacement; "
+    said += f"{ends} tripped or became unstable (with 95 % confidence not more than "
+    said += f"{percent(lost['interval_95'][1])} do)"
     for cause in result["causes"][:1]:
         if strength(cause) > summary["chance"]:
-            explained = f"{cause['quantity']}, which explains {percent(cause['explains'])} of it"
-            said += f"; the error depends most on {explained}"
+            said += f"; the error depends most on {cause['quantity']}, which explains "
+            said += f"{percent(cause['explains'])} of it"
     return f"{said}."
 
 
@@ -93,11 +89,8 @@ def _mark(result: Mapping[str, Any]) -> Mark:
 
 def _row(result: Mapping[str, Any]) -> list[str | Cell]:
     own, errors = result["configured"], result["distribution"]["displacement"]
-    texts = [
-        _of_test(own["stable"], own["displacement"]["nrmse"]),
-        *map(_error, errors.values()),
-        percent(result["trips"]["share"]),
-    ]
+    shown = _of_test(own["stable"], own["displacement"]["nrmse"]), *map(_error, errors.values())
+    texts = *shown, percent(result["trips"]["share"])
     return [*_place(result), *(Cell(text, _mark(result)) for text in texts)]
 
 
@@ -126,16 +119,12 @@ def _distribution(ratio: float, summary: Mapping[str, Any]) -> Plot:
         errors = np.sort(errors_of(result["runs"]))
         at = np.arange(1, len(errors) + 1) / len(errors)
         finite = np.isfinite(errors) & (errors > 0)
+        x, y = 100 * errors[finite], 100 * at[finite]
         color, dash = OTHERS[place % len(OTHERS)], ("solid", "dashed")[place // len(OTHERS) % 2]
-        page.line(
-            panel, 100 * errors[finite], 100 * at[finite], result["method"], color=color, dash=dash
-        )
+        page.line(panel, x, y, result["method"], color=color, dash=dash)
     page.level(panel, 95.0)
-    caption = (
-        f"Mass ratio {ratio:g}: share of the drawn tests whose error is at most that. Unstable "
-        "tests are missing at the top. Dashed: 95 %."
-    )
-    return Plot(panel, caption)
+    caption = "share of the drawn tests whose error is at most that. Unstable tests are missing at"
+    return Plot(panel, f"Mass ratio {ratio:g}: {caption} the top. Dashed: 95 %.")
 
 
 def _dependence(summary: Mapping[str, Any]) -> list[Block]:
@@ -175,13 +164,11 @@ def _worst(summary: Mapping[str, Any]) -> list[Block]:
     rows, offsets = [], summary["drawn"][0]["offsets"]
     for result in summary["results"]:
         for one in result["worst"]:
-            differs = ", ".join(
-                f"{name} {'+' if name in offsets else 'times'} {by:.3g}"
-                for name, by in one["furthest"].items()
-            )
+            found = ((name, "+" if name in offsets else "times") for name in one["furthest"])
+            differs = ", ".join(f"{name} {by} {one['furthest'][name]:.3g}" for name, by in found)
             how = one["trip"]["reason"] if one["trip"] else ""
             error = _of_test(one["stable"], one["nrmse"])
             rows.append([*_place(result), str(one["test"]), error, differs, how, one["file"]])
-    headings = ("method", "mass ratio", "test", "NRMSE", "furthest from configured", "trip")
-    text = "seft simulate FILE repeats a test."
-    return [Text(text), TextTable((*headings, "file"), rows, numbers=False, wide=True)]
+    headings = ("method", "mass ratio", "test", "NRMSE", "furthest from configured", "trip", "file")
+    text = Text("seft simulate FILE repeats a test.")
+    return [text, TextTable(headings, rows, numbers=False, wide=True)]

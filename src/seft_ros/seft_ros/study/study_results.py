@@ -49,37 +49,29 @@ def summarise_study(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
         A method is better if fewer of its tests tripped; of those with as many, if the error of
         the displacement is smaller in 95 % of the tests, at most, as a median.
     """
-    drawn, results = design.drawn, []
-    for ratio in design.mass_ratios:
-        possible = [name for name in design.methods if (ratio, name) not in design.not_possible]
-        own = [
-            result_of(design, [run for run in runs if run.test[:2] == (ratio, name)])
-            for name in possible
-        ]
-        results += sorted(own, key=_rank)
-    found: dict[str, Any] = json_safe(
+    drawn, by_method = design.drawn, dict[tuple[float, str], list[Run]]()
+    for run in runs:
+        by_method.setdefault(run.test[:2], []).append(run)
+    results = [result_of(design, own) for own in by_method.values()]
+    results.sort(key=lambda one: (design.mass_ratios.index(one["mass_ratio"]), *_rank(one)))
+    not_possible = [
+        {"mass_ratio": ratio, "method": method, "reason": reason}
+        for (ratio, method), reason in design.not_possible.items()
+    ]
+    tests = [
         {
-            "tests": len(drawn.sections) - 1,
-            "seed": drawn.seed,
-            "spread": drawn.spread,
-            "results": results,
-            "not_possible": [
-                {"mass_ratio": ratio, "method": method, "reason": reason}
-                for (ratio, method), reason in design.not_possible.items()
-            ],
-            "chance": _Z95 / math.sqrt(len(drawn.sections) - 2),
-            "drawn": [
-                {
-                    "test": number,
-                    "motion": _motion(sections),
-                    "factors": {name: own[number - 1] for name, own in drawn.factors.items()},
-                    "offsets": {name: own[number - 1] for name, own in drawn.offsets.items()},
-                }
-                for number, sections in enumerate(drawn.sections[1:], 1)
-            ],
+            "test": number + 1,
+            "motion": _motion(sections),
+            "factors": {name: own[number] for name, own in drawn.factors.items()},
+            "offsets": {name: own[number] for name, own in drawn.offsets.items()},
         }
-    )
-    return found
+        for number, sections in enumerate(drawn.sections[1:])
+    ]
+    found: dict[str, Any] = {"tests": len(tests), "seed": drawn.seed, "spread": drawn.spread}
+    found |= {"results": results, "not_possible": not_possible}
+    found |= {"chance": _Z95 / math.sqrt(len(tests) - 1), "drawn": tests}
+    safe: dict[str, Any] = json_safe(found)
+    return safe
 
 
 def result_of(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
@@ -125,11 +117,8 @@ def _motion(sections: Mapping[str, Section]) -> str:
 
 
 def _worst(design: StudyDesign, number: int, outcome: Mapping[str, Any]) -> dict[str, Any]:
-    drawn = design.drawn.factors | design.drawn.offsets
-    shares = {
-        name: own[number - 1] / (own.max() or 1.0)
-        for name, own in design.drawn.deviations().items()
-    }
+    drawn, far = design.drawn.factors | design.drawn.offsets, design.drawn.deviations()
+    shares = {name: own[number - 1] / (own.max() or 1.0) for name, own in far.items()}
     names = sorted(shares, key=lambda name: -shares[name])[:_FURTHEST]
     furthest = {name: drawn[name][number - 1] for name in names}
     error, stable, trip = outcome["displacement"]["nrmse"], outcome["stable"], outcome["trip"]
@@ -165,9 +154,7 @@ def causes_of(drawn: DrawnTests, errors: Floats) -> list[dict[str, Any]]:
     the square of the larger one is the share of the differences between the tests' ranks that the
     quantity explains. Unstable tests are the most wrong. NaN where all errors are equal.
     """
-    known = ~np.isnan(errors)
-    found: list[dict[str, Any]] = []
-    deviations = drawn.deviations()
+    known, deviations, found = ~np.isnan(errors), drawn.deviations(), list[dict[str, Any]]()
     for name, values in (drawn.factors | drawn.offsets).items():
         pairs = zip(CORRELATIONS, (values, deviations[name]), strict=True)
         cause = {key: _spearman(x[known], errors[known]) for key, x in pairs}
@@ -227,8 +214,7 @@ def write_worst_tests(design: StudyDesign, summary: dict[str, Any], folder: Path
                 for name in FILES
                 if (files := files_of(motion[name], design.experiment.axes))
             }
-            about = (
-                f"{test} of seft study, seed {design.drawn.seed}, spread {design.drawn.spread:g}"
-            )
+            drawn = f"seed {design.drawn.seed}, spread {design.drawn.spread:g}"
+            about = f"{test} of seft study, {drawn}"
             write_parameter_file(path, sections, [about], replace=True)
             worst["file"] = str(path)

@@ -44,20 +44,15 @@ class YieldingError:
 
     def warning(self) -> str:
         """Say that the valve can't follow, and how to mend it; empty if it can."""
-        if self.of_valve <= LARGEST_ERROR:
-            return ""
-        return (
-            f"{self}: the valve can't follow that fast; take a higher rate, a faster valve or a "
-            "stiffer oil column"
-        )
+        mend = "take a higher rate, a faster valve or a stiffer oil column"
+        is_fast = self.of_valve <= LARGEST_ERROR
+        return "" if is_fast else f"{self}: the valve can't follow that fast; {mend}"
 
     def __str__(self) -> str:
         """Say it in one line."""
-        return (
-            "if the specimen yields at a third of its largest deformation, unforeseen, the "
-            f"displacement error is {_percent(self.whole)} ({_percent(self.of_valve)} without "
-            "noise)"
-        )
+        if_so = "if the specimen yields at a third of its largest deformation, unforeseen"
+        error = f"{_percent(self.whole)} ({_percent(self.of_valve)} without noise)"
+        return f"{if_so}, the displacement error is {error}"
 
 
 def _percent(error: float) -> str:
@@ -85,9 +80,8 @@ def yielding_error(
     if not is_simulated(experiment) or response is None:
         return None
     rig, method = experiment["rig"], experiment["force_controller"]["method"]
-    if method != VELOCITY_FEEDFORWARD or rig["actuator.kind"] in FORCE_DRIVEN:
-        return None
-    if experiment["reference_force"]["computed.model"]:
+    follows = method == VELOCITY_FEEDFORWARD and rig["actuator.kind"] not in FORCE_DRIVEN
+    if not follows or experiment["reference_force"]["computed.model"]:
         return None
     where = "rig: simulated.specimen"
     springs = deformations(rig["simulated.specimen.springs"], experiment.axes, where)

@@ -71,10 +71,8 @@ def _pool(workers: int) -> Iterator[Executor]:
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
         if isinstance(error, BrokenProcessPool):
-            raise ExperimentError(
-                "a worker died, maybe for want of memory; the same command with fewer --workers "
-                "continues"
-            ) from None
+            mend = "the same command with fewer --workers continues"
+            raise ExperimentError(f"a worker died, maybe for want of memory; {mend}") from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -97,9 +95,8 @@ def _cluster(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client, KilledWorker
     except ImportError:
-        raise InputError(
-            "--scheduler: Dask is not installed; install it with: pip install 'seft_ros[dask]'"
-        ) from None
+        mend = "install it with: pip install 'seft_ros[dask]'"
+        raise InputError(f"--scheduler: Dask is not installed; {mend}") from None
     try:
         client = Client(address, timeout=_CONNECT_TIME)
     except (OSError, ValueError, TypeError) as error:
@@ -118,9 +115,8 @@ def _cluster(address: str) -> Iterator[Executor]:
     except CancelledError:
         raise ExperimentError(f"--scheduler {address}: the scheduler has ended") from None
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"--scheduler {address}: a worker lacks {error.name}; install seft there"
-        ) from None
+        why = f"a worker lacks {error.name}; install seft there"
+        raise InputError(f"--scheduler {address}: {why}") from None
 
 
 def _spread(

@@ -62,9 +62,8 @@ def read_peer(path: Path, lines: list[str]) -> Columns | None:
     numbers = NUMBER.findall(lines[end])
     count, dt = int(numbers[0]), to_float(numbers[1], path, end + 1)
     if count < 1 or not 0 < dt < np.inf:
-        raise InputError(
-            f"{path}: line {end + 1}: NPTS is {count} and DT is {dt:g} s; both must be positive"
-        )
+        found = f"NPTS is {count} and DT is {dt:g} s; both must be positive"
+        raise InputError(f"{path}: line {end + 1}: {found}")
     titles = [(number, line) for number, line in enumerate(lines[:end], start=1) if line.strip()]
     unit = read_header(path, titles).unit
     own_dt = Statement(dt, f"line {end + 1}")
@@ -286,10 +285,9 @@ def read_geonet(path: Path, lines: list[str]) -> Columns | None:
         last = start + rows
         there = sum(1 for _ in takewhile(_is_geonet_row, lines[start:]))
         if there % max(rows, 1):
-            raise InputError(
-                f"{path}: line {index + 1}: {there} rows of values follow, but {count} points are "
-                f"{rows} rows for each quantity; fetch the record again"
-            )
+            wanted = f"{count} points are {rows} rows for each quantity; fetch the record again"
+            found = f"{there} rows of values follow, but {wanted}"
+            raise InputError(f"{path}: line {index + 1}: {found}")
         size, place = float(period.group(1) or 1), f"line {index + 1}"
         dt = Statement(float(period.group(3)), place)
         unit = Statement(known_unit(path, index + 1, period.group(2) or peak.group(1)), place)

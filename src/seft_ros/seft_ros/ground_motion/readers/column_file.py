@@ -240,10 +240,8 @@ def _one_motion(path: Path, data: _Rows, header: Header) -> Columns:
 def _table(path: Path, data: _Rows) -> npt.NDArray[np.float64]:
     count, rows = len(data[0][1]), []
     if len(data) == 1 and count > 2:
-        raise InputError(
-            f"{path}: holds one row of {count} numbers; if they are one motion, set ground_motion "
-            "rows (--rows)"
-        )
+        mend = "if they are one motion, set ground_motion rows (--rows)"
+        raise InputError(f"{path}: holds one row of {count} numbers; {mend}")
     for number, fields in data:
         if len(fields) != count:
             remedy = "give all lines the same number of columns"
@@ -252,9 +250,8 @@ def _table(path: Path, data: _Rows) -> npt.NDArray[np.float64]:
                     "if it is one motion in rows, set ground_motion rows (--rows); if not, the "
                     "record is cut off there: fetch it again"
                 )
-            raise InputError(
-                f"{path}: line {number}: {len(fields)} columns, but {count} before; {remedy}"
-            )
+            found = f"{len(fields)} columns, but {count} before; {remedy}"
+            raise InputError(f"{path}: line {number}: {found}")
         rows.append([to_float(field, path, number) for field in fields])
     return np.array(rows)
 
@@ -266,9 +263,8 @@ def _check_pairs(path: Path, values: npt.NDArray[np.float64]) -> None:
         return
     steps = np.diff(values[:, ::2].ravel())
     if (steps > 0).all() and np.ptp(steps) < _UNEVEN_PAIRS * np.median(steps):
-        raise InputError(
-            f"{path}: each row holds {count} pairs of time and value; write a pair to a line"
-        )
+        pairs = f"each row holds {count} pairs of time and value"
+        raise InputError(f"{path}: {pairs}; write a pair to a line")
 
 
 def _fields(line: str, separator: str | None) -> list[str]:

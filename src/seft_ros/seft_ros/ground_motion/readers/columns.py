@@ -340,9 +340,8 @@ def as_channels(found: Sequence[Columns], names: Sequence[str] = ()) -> Columns:
         return [each and each.value for each in (one.own_dt, one.own_unit)]
 
     if any(key(one) != key(first) for one in found):
-        raise InputError(
-            f"{first.path}: its channels differ in sampling period or unit; save each as a file"
-        )
+        differ = "its channels differ in sampling period or unit; save each as a file"
+        raise InputError(f"{first.path}: {differ}")
     counts = tuple(len(one.values) for one in found)
     table = np.full((max(counts), len(found)), np.nan)
     for column, one in enumerate(found):

@@ -33,9 +33,8 @@ def read_bytes(path: Path) -> bytes:
         with open_regular(path) as file:
             return file.read()
     except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; give its full path, or one from the working directory"
-        ) from None
+        mend = "give its full path, or one from the working directory"
+        raise InputError(f"{path}: no such file; {mend}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
 
@@ -182,8 +181,6 @@ def read_values(
             places.append(number)
     if len(values) != count or not values:
         what = "the file is truncated" if len(values) < count else "too many"
-        raise InputError(
-            f"{path}: line {said or start} says {count} values, but {len(values)} values follow: "
-            f"{what}; fetch the record again, or correct that line"
-        )
+        other = f"{len(values)} values follow: {what}; fetch the record again, or correct that line"
+        raise InputError(f"{path}: line {said or start} says {count} values, but {other}")
     return values, places

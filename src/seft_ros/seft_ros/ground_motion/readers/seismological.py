@@ -38,10 +38,8 @@ def read_knet(path: Path, lines: list[str]) -> Columns | None:
     trace = _read(path, text.encode("ascii", "replace"), "KNET", "K-NET")[0]
     duration, stated = len(trace) * trace.stats.delta, float(trace.stats.knet.duration)
     if stated - duration >= 1:  # s; it is stated in whole ones
-        raise InputError(
-            f"{path}: its header says {stated:g} s, but {len(trace)} values follow, {duration:g} "
-            "s: the file is truncated; fetch it again"
-        )
+        other = f"{len(trace)} values follow, {duration:g} s: the file is truncated; fetch it again"
+        raise InputError(f"{path}: its header says {stated:g} s, but {other}")
     unit = Statement("cm/s2", "Scale Factor in gal")
     values = np.asarray(trace.data, dtype=float) * (100 * trace.stats.calib)
     return _columns(path, [values], [""], "K-NET", trace.stats.delta, unit)
@@ -89,9 +87,8 @@ def _read(path: Path, data: bytes, kind: str, called: str) -> Any:
             stream = obspy.read(io.BytesIO(data), format=kind)
             stream.merge(method=-1)
         except Exception as error:  # ObsPy raises any kind
-            raise InputError(
-                f"{path}: ObsPy can't read it as {called}: {_reason(error)}; fetch it again"
-            ) from None
+            why = f"ObsPy can't read it as {called}: {_reason(error)}; fetch it again"
+            raise InputError(f"{path}: {why}") from None
     if not len(stream) or any(not len(trace) for trace in stream):
         raise InputError(f"{path}: holds no samples; fetch it again")
     return stream
@@ -108,10 +105,8 @@ def _obspy(path: Path, called: str) -> Any:
             warnings.simplefilter("ignore")
             import obspy
     except ImportError:
-        raise InputError(
-            f"{path}: is a {called} record, which ObsPy reads; install it beside seft: "
-            "pip install 'src/seft_ros[motions]'"
-        ) from None
+        mend = "install it beside seft: pip install 'src/seft_ros[motions]'"
+        raise InputError(f"{path}: is a {called} record, which ObsPy reads; {mend}") from None
     return obspy
 
 
@@ -121,9 +116,8 @@ def _scaled(path: Path, stream: Any, response: str, called: str) -> Columns:
     if len(set(ids)) < len(ids):
         raise InputError(f"{path}: channel {ids[0]} has a gap; cut the record off there")
     if len(kinds) > 1:
-        raise InputError(
-            f"{path}: its channels differ in length or sampling period; save each as a file"
-        )
+        differ = "its channels differ in length or sampling period; save each as a file"
+        raise InputError(f"{path}: {differ}")
     try:
         values = [np.asarray(trace.data, dtype=float) for trace in stream]
     except (TypeError, ValueError):

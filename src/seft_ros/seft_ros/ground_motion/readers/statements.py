@@ -309,9 +309,8 @@ def known_unit(path: Path, number: int, text: str) -> str:
 
 def other_quantity(path: Path, number: int, quantity: str) -> InputError:
     """Make the error on a file of velocities or displacements."""
-    return InputError(
-        f"{path}: line {number}: holds a {quantity.lower()}; give the record of the acceleration"
-    )
+    what = f"holds a {quantity.lower()}; give the record of the acceleration"
+    return InputError(f"{path}: line {number}: {what}")
 
 
 def agreed[T](path: Path, what: str, *found: Statement[T] | None) -> Statement[T] | None:
@@ -325,10 +324,8 @@ def agreed[T](path: Path, what: str, *found: Statement[T] | None) -> Statement[T
     stated = [each for each in found if each]
     for each in stated[1:]:
         if not _is_same(stated[0].value, each.value):
-            raise InputError(
-                f"{path}: {each.place} states the {what} {each.value}, but {stated[0].place} "
-                f"{stated[0].value}; correct one of them"
-            )
+            other = f"{stated[0].place} {stated[0].value}; correct one of them"
+            raise InputError(f"{path}: {each.place} states the {what} {each.value}, but {other}")
     return stated[0] if stated else None
 
 
