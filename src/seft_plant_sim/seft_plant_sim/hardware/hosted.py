@@ -222,7 +222,8 @@ class HostedHardware:
 
         If it does not come to rest, that is said after ``Safe.longest`` steps.
         """
-        if stopped := self._stop and self._stop.next(measured):
+        stopped = self._stop.next(measured) if self._stop is not None else None
+        if stopped is not None:
             self._stop = None
         return stopped
 

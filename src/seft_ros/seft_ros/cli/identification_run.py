@@ -72,9 +72,8 @@ def other_test(recording: Recording, planned: Experiment, forces: Floats) -> str
     ground = recording.series[GROUND_MOTION.name]
     wanted = rig_tests.ground_of(planned, forces) * planned["ground_motion"]["influence"]
     within = ground.steps < len(wanted)
-    if not _alike(ground.values[within, 0], wanted[ground.steps[within]]):
-        return "it had other commands"
-    return ""
+    same = _alike(ground.values[within, 0], wanted[ground.steps[within]])
+    return "" if same else "it had other commands"
 
 
 def _alike(one: Value, other: Value) -> bool:
@@ -135,10 +134,8 @@ class IdentificationTests:
 
         Its forces are those of the excitation, or are written first, shape (N, n), N.
         """
-        label = f"{name}: "
-        bag, recording = self._kept(
-            name, test, steps, self.excitation if forces is None else forces
-        )
+        label, played = f"{name}: ", self.excitation if forces is None else forces
+        bag, recording = self._kept(name, test, steps, played)
         if recording is None:
             if forces is not None:
                 rig_tests.write_forces(self.folder / f"{name}.csv", test, forces)
@@ -272,7 +269,6 @@ class Identification:
         self._multisine = of_recording(found, known, *told)
 
     def _run_multisine_test(self, name: str, commands: np.ndarray) -> bool:
-
         tests = self.tests
         test = rig_tests.multisine_test(tests.experiment, tests.folder / f"{name}.csv")
         steps = len(commands) + round(rig_tests.TAIL * tests.experiment.timebase.rate)
@@ -292,9 +288,8 @@ class Identification:
             )
             return
         if multisine is not None and not tests.external:
-            experiment = experiment.changed(
-                {EVERY_NODE: multisine.calibrated.parameters(), "rig": truth(experiment["rig"])}
-            )
+            known = multisine.calibrated.parameters()
+            experiment = experiment.changed({EVERY_NODE: known, "rig": truth(experiment["rig"])})
         if by_default and self._valve and self.motions.cap < math.inf:
             self.levels = replace(self.levels, force=self._force_of_specimen())
         steps = self.motions.steps(self.duration)
@@ -358,36 +353,29 @@ class Identification:
             texts, numbers = self._write(found, config, specimen, files)
             summary |= numbers
         summary["files"] = {what: str(path) for what, path in files.items()}
-        each = [
-            f"{1e3 * moved[axis]:.3g} mm with {forces[axis]:.3g} N on axis {axis}" for axis in moved
-        ]
+        each = (
+            f"{1e3 * x:.3g} mm with {forces[axis]:.3g} N on axis {axis}"
+            for axis, x in moved.items()
+        )
         lines = [f"the tests moved the specimen by up to {', '.join(each)}"]
         lines += [f"{what + ':':13}{path}" for what, path in files.items()]
         shared.show(summary, as_json, [*texts, *lines])
         for name, test in tests.items():
             if test.trip is not None:
                 at = f"{name.replace('_', ' ')} tripped at {test.trip.time_s:.3f} s"
-                shared.complain(
-                    f"{at}: {test.trip.reason}; its bag is in {bags[name]}; the same command with "
-                    f"--out {folder} continues"
-                )
-                return 1
-        if unusable:
-            shared.complain(unusable[0])
-            return 1
-        return 0
+                mend = f"the same command with --out {folder} continues"
+                unusable = [f"{at}: {test.trip.reason}; its bag is in {bags[name]}; {mend}"]
+                break
+        for why in unusable[:1]:
+            shared.complain(why)
+        return 1 if unusable else 0
 
     def _unknown_force(self, known: Section) -> list[str]:
         """Say what an error of the load cell would cost, which no motion shows."""
-        experiment = self.tests.experiment.changed({EVERY_NODE: known})
-        cost = effect_of_force(experiment, 1.01)
-        if cost is None:
-            return []
-        return [
-            "no motion shows a wrong scale of the force: 1 % of it costs "
-            f"{style.percent(cost)} of the displacement in the configured test; --known-mass or "
-            "--known-force tells it"
-        ]
+        cost = effect_of_force(self.tests.experiment.changed({EVERY_NODE: known}), 1.01)
+        said = f"{style.percent(cost)} of the displacement in the configured test"
+        text = f"no motion shows a wrong scale of the force: 1 % of it costs {said}"
+        return [] if cost is None else [f"{text}; --known-mass or --known-force tells it"]
 
     def _write(
         self, found: identified.Identified, config: str, specimen: bool, files: dict[str, Path]

@@ -15,26 +15,19 @@ from seft_ros.cli import shared
 from seft_ros.cli.shared import option
 
 _NOT_GIVEN = (math.nan, math.nan)
+_OVER_DDS = "Run nodes over DDS, or simulate in one process; default by rig: hardware."
+_BAND = "Band of the excitation in Hz; default by the rate."
+_HUNG = "Load that was hung on the load cell, and what this showed then beyond rest."
 
 
 def identify(
     config: shared.Config,
     param: shared.Params = None,
     params_file: shared.Files = None,
-    over_dds: Optional[bool] = option(
-        None,
-        "Run nodes over DDS, or simulate in one process; default by rig: hardware.",
-        "--over-dds/--offline",
-        show_default=False,
-    ),
+    over_dds: Optional[bool] = option(None, _OVER_DDS, "--over-dds/--offline", show_default=False),
     external: shared.External = None,
     seed: int = option(1, "Seed of the excitation, Gaussian noise.", min=0),
-    band: tuple[float, float] = option(
-        _NOT_GIVEN,
-        "Band of the excitation in Hz; default by the rate.",
-        "LO HI",
-        show_default=False,
-    ),
+    band: tuple[float, float] = option(_NOT_GIVEN, _BAND, "LO HI", show_default=False),
     duration: float = option(120.0, "Duration of each test in s.", "S"),
     amplitude: Optional[float] = option(None, "RMS of the valve drive, open loop.", "V"),
     force: Optional[float] = option(None, "RMS of the reference force, closed loop.", "N"),
@@ -48,12 +41,7 @@ def identify(
     known_mass: Optional[list[float]] = option(
         None, "Weighed mass of the specimen; for several axes once for each.", "KG"
     ),
-    known_force: tuple[float, float] = option(
-        _NOT_GIVEN,
-        "Load that was hung on the load cell, and what this showed then beyond rest.",
-        "N N",
-        show_default=False,
-    ),
+    known_force: tuple[float, float] = option(_NOT_GIVEN, _HUNG, "N N", show_default=False),
     max_displacement: float = option(
         math.inf, "Largest displacement; default by the limits.", "M", show_default=False
     ),
@@ -169,11 +157,10 @@ def _with_force(experiment: Experiment, load: float, shown: float) -> Experiment
         )
     from seft_plant_sim.channels import FORCE, least_noise
 
-    section = experiment["reference_force"]
-    scale = ratio * np.atleast_1d(section["calibration.force_scale"])
+    section, name = experiment["reference_force"], "calibration.force_scale"
     error = least_noise(section, experiment.axes)[FORCE] / abs(shown)  # of one reading
-    told = {"calibration.force_scale": scale, "calibration.force_scale_error": error}
-    told = {name: value.tolist() for name, value in told.items()}
+    scale = ratio * np.atleast_1d(section[name])
+    told = {name: scale.tolist(), f"{name}_error": error.tolist()}
     return experiment.changed({EVERY_NODE: told, "rig": truth(experiment["rig"])})
 
 

@@ -269,10 +269,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
 
 
 def _check_plan(
-    experiment: Experiment,
-    blocks: "Blocks | None",
-    motion: "GroundMotion | None",
-    accept_unstable: bool,
+    experiment: Experiment, blocks: "Blocks | None", motion: "GroundMotion | None", accept: bool
 ) -> None:
     """Raise `InputError` for a test that is refused and not accepted; warn of limits far away."""
     from seft_ros.design import plausibility, preflight_tables
@@ -281,11 +278,11 @@ def _check_plan(
     by_axis = plausibility.peaks_of(response)
     if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
-    _check_stable(experiment, blocks, accept_unstable)
-    reasons = [plausibility.range_refusal(experiment, by_axis)]
-    reasons.append(plausibility.excess_text(plausibility.excesses(experiment, response)))
+    _check_stable(experiment, blocks, accept)
+    beyond = plausibility.excess_text(plausibility.excesses(experiment, response))
+    reasons = plausibility.range_refusal(experiment, by_axis), beyond
     if unfit := "; ".join(filter(None, reasons)):
-        if not accept_unstable:
+        if not accept:
             raise InputError(f"{unfit}, or run it all the same with --accept-unstable")
         shared.complain(f"{unfit}; accepted")
     peaks = preflight_tables.expected_peaks(by_axis)
@@ -334,6 +331,5 @@ def _blocks(experiment: Experiment) -> "Blocks | None":
     """
     from seft_ros.test_run.blocks import build_blocks
 
-    if all(table.node in experiment.sections for table in TABLES):
-        return build_blocks(experiment)
-    return None
+    is_whole = all(table.node in experiment.sections for table in TABLES)
+    return build_blocks(experiment) if is_whole else None

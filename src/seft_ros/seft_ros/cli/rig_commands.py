@@ -73,13 +73,8 @@ def link(
         trips = measure_link(rate, duration, size, progress, other_side)
     test = None if experiment is None else allowed(experiment, trips.loop_delay)
     verdict, reasons = assess_link(trips, test)
-    summary: dict[str, Any] = {
-        **trips.numbers_by_name(),
-        "size_bytes": size,
-        "test": test and asdict(test),
-        "verdict": verdict,
-        "reasons": reasons,
-    }
+    summary: dict[str, Any] = {**trips.numbers_by_name(), "size_bytes": size}
+    summary |= {"test": test and asdict(test), "verdict": verdict, "reasons": reasons}
     if out is not None:
         steps = {EVERY_NODE: {"loop_delay": trips.loop_delay}}
         comment = "by seft link: steps at the rate of the experiment"
@@ -174,9 +169,8 @@ def _ask(amplitude: str, travel: float) -> None:
     motion = f"{amplitude}, stopped at {1e3 * travel:g} mm"
     if not sys.stdin.isatty():
         raise InputError(f"the rig will be moved ({motion}): say --yes when nobody is in its reach")
-    if not typer.confirm(
-        f"The rig will be moved ({motion}). Is nobody within its reach?", err=True
-    ):
+    question = f"The rig will be moved ({motion}). Is nobody within its reach?"
+    if not typer.confirm(question, err=True):
         raise InputError("nothing was moved")
 
 

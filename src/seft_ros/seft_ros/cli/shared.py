@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -39,13 +40,10 @@ _FILES = "Another parameter file, whose values win over CONFIG's; may be repeate
 _EXTERNAL = "A node that runs already, such as a lab's driver as rig; may be repeated."
 _JSON = "Print one JSON object on stdout, and nothing else there."
 Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Experiment: ROS 2 parameter file.")]
-BagArgument = Annotated[
-    Path, typer.Argument(metavar="BAG", help="Folder (or file) of a recorded test.")
-]
-Params = Annotated[
-    Optional[list[str]],
-    typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE),
-]
+_BAG = "Folder (or file) of a recorded test."
+BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help=_BAG)]
+_PARAM = typer.Option("-p", "--param", metavar="NODE:PARAMETER:=VALUE", help=_OVERRIDE)
+Params = Annotated[Optional[list[str]], _PARAM]
 Files = Annotated[Optional[list[Path]], typer.Option(metavar="FILE", help=_FILES)]
 External = Annotated[Optional[list[str]], typer.Option(metavar="NODE", help=_EXTERNAL)]
 Json = Annotated[bool, typer.Option("--json", help=_JSON)]
@@ -83,17 +81,14 @@ def show(
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return
-    console = Console()
-    for text in texts:
+    console, width = Console(), max(map(len, files), default=0) + 2
+    written = (f"{n + ':':{width}}{summary[n]}" for n in files if summary.get(n) is not None)
+    for text in (*texts, *written):
         if isinstance(text, str):
             print(escaped(text))
         else:
             is_line = isinstance(text, Cell) or (isinstance(text, TextTable) and not text.headings)
             console.print(text, soft_wrap=is_line)
-    width = max(map(len, files), default=0) + 2
-    for name in files:
-        if summary.get(name) is not None:
-            print(escaped(f"{name + ':':{width}}{summary[name]}"))
 
 
 def complain(text: str) -> None:
@@ -133,8 +128,7 @@ def step_progress(
     A third argument changes how many there are. An interruption becomes an `ExperimentError` where
     ``lost`` says what it costs. A ``passing`` bar vanishes at its end, and is for a terminal alone.
     """
-    console = Console(stderr=True)
-    text = TextColumn("{task.description:40.40}", markup=False)
+    console, text = Console(stderr=True), TextColumn("{task.description:40.40}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console.quiet = passing and not console.is_terminal
     try:
@@ -171,9 +165,7 @@ def offline_test(
     blocks = blocks or build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
-        recording = simulate_test(
-            experiment, blocks, lambda done: progress(f"{label}simulating", done)
-        )
+        recording = simulate_test(experiment, blocks, partial(progress, f"{label}simulating"))
         facts = {GROUND_MOTION.name: {MOTION: motion.facts}}
         if blocks.rig.zeroed is not None:
             facts["rig"] = {ZEROED: blocks.rig.zeroed}

@@ -127,24 +127,13 @@ def motion(
     """
     # beyond 60 lines: its options and its help; what it shows follows in order
     from seft_ros.analysis.result_text import motion_rows
-    from seft_ros.drawing.style import (
-        TextTable,
-        check_figure,
-        check_table,
-        save_figure,
-        write_table,
-    )
+    from seft_ros.drawing import style
+    from seft_ros.ground_motion import response_spectrum as spectrum
     from seft_ros.ground_motion.conditioning import baseline_numbers
     from seft_ros.ground_motion.ground_motion_block import GROUND_MOTION_TABLE, GroundMotion
-    from seft_ros.ground_motion.response_spectrum import (
-        SPECTRUM_PERIODS,
-        motion_figure,
-        motion_summary,
-        response_spectrum,
-    )
 
-    path = check_figure(figure) if figure is not None else None
-    spectrum_file = check_table(csv) if csv is not None else None
+    path = style.check_figure(figure) if figure is not None else None
+    spectrum_file = style.check_table(csv) if csv is not None else None
     if config is not None:
         experiment = load_experiment(config, param, params_file)
         axes, timebase, section = experiment.axes, experiment.timebase, experiment["ground_motion"]
@@ -157,32 +146,32 @@ def motion(
         if len(file) > 1:
             axes = tuple(f"motion {number}" for number, _ in enumerate(file, start=1))
         timebase = Timebase.from_rate(500.0)
-        section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()} | {
-            "tail": 0.0
-        }
+        section = {row.name: row.default for row in GROUND_MOTION_TABLE.rows.values()}
+        section["tail"] = 0.0
     metadata = None if response is None else str(response)
     words = {"column": column or None, "rows": rows, "unit": unit, "dt": dt, "response": metadata}
     section |= _as_named(section, file or [], words, correct)
     timebase = timebase if rate is None else Timebase.from_rate(rate)
     block = GroundMotion(section, axes, timebase)
+    samples, dt = block.samples, timebase.dt
     if path is not None:
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
-        save_figure(motion_figure(block.samples, timebase.dt, axes, title, block.uncorrected), path)
-    moving = block.samples[: block.steps - round(section["tail"] * timebase.rate)]
+        drawn = spectrum.motion_figure(samples, dt, axes, title, block.uncorrected)
+        style.save_figure(drawn, path)
+    moving = samples[: block.steps - round(section["tail"] * timebase.rate)]
     if spectrum_file is not None:
         names = ["period (s)", *(f"{axis} pseudo-acceleration (m/s^2)" for axis in axes)]
-        spectra = response_spectrum(block.samples, timebase.dt, SPECTRUM_PERIODS)
-        write_table(spectrum_file, names, np.column_stack([SPECTRUM_PERIODS, spectra]))
-    numbers = motion_summary(block.samples, timebase.dt) | baseline_numbers(moving, timebase.dt)
+        periods = spectrum.SPECTRUM_PERIODS
+        spectra = spectrum.response_spectrum(samples, dt, periods)
+        style.write_table(spectrum_file, names, np.column_stack([periods, spectra]))
+    numbers = spectrum.motion_summary(samples, dt) | baseline_numbers(moving, dt)
     lines = [["steps", *[str(numbers["steps"])] * len(axes)]]
-    lines += [
-        [label, *(f"{value:.4g}" for value in numbers[name])] for name, label in _ROWS.items()
-    ]
+    lines += [[label, *(f"{x:.4g}" for x in numbers[name])] for name, label in _ROWS.items()]
     summary = {**block.facts, "rate_hz": timebase.rate, **numbers}
     summary["figure"] = None if path is None else str(path)
     summary["csv"] = None if spectrum_file is None else str(spectrum_file)
-    texts = [TextTable((), motion_rows(block.facts)), TextTable(["", *axes], lines)]
-    show(summary, json, texts, "figure", "csv")
+    facts = style.TextTable((), motion_rows(block.facts))
+    show(summary, json, [facts, style.TextTable(["", *axes], lines)], "figure", "csv")
     return 0
 
 
@@ -227,8 +216,7 @@ def parameters(
         if word is not None:
             raise InputError(f"there is no node {node}{nearest(node, names)}")
         node, word = None, node
-    found = parameters_text(node or "", word or "")
-    if not found:
+    if not (found := parameters_text(node or "", word or "")):
         where = "no parameter" if node is None else f"no parameter of {node}"
         raise InputError(f"{where} has {word} in its name or meaning; seft parameters lists all")
     print(found)
@@ -263,9 +251,9 @@ def _table(rows: Iterable[Parameter]) -> str:
 
 def _type(row: Parameter) -> str:
     if row.choices:
-        other = ["a name that a package registers"] if row.registered is not None else []
         texts = [f"`{choice}`" if choice else '`""`' for choice in row.choices]
-        return " \\| ".join(texts + other)
+        texts += ["a name that a package registers"] if row.registered is not None else []
+        return " \\| ".join(texts)
     if row.file_name:
         return "name of a file"
     limits = ((">", 0 if row.positive else None), (">=", row.minimum), ("<=", row.maximum))

@@ -81,8 +81,7 @@ class SampledLoop:
         The residues are those of the transfer function from ground acceleration to displacement.
         """
         z, left, right = eig(self.matrix, left=True)
-        n = len(self.displacement)
-        known_ahead = self.ground.reshape(len(z), -1, n)
+        known_ahead = self.ground.reshape(len(z), -1, len(self.displacement))
         powers = z[:, np.newaxis] ** np.arange(known_ahead.shape[1])
         entering = np.einsum("si,spn,ip->in", left.conj(), known_ahead, powers)
         scale = np.einsum("si,si->i", left.conj(), right)
@@ -284,9 +283,10 @@ def choose_rig(experiment: Experiment, stiffness: float = 1.0) -> LoopRig:
     InputError says if they are not known.
     """
     source, model = rig_model(experiment, stiffness)
-    derived = experiment["reference_force"]["sensors.velocity"] == "derived"
-    cutoff = experiment["reference_force"]["sensors.velocity_cutoff"] if derived else None
-    plant, specimen = Plant.of_model(source, model, motion=True), tested_specimen(experiment)
+    section, specimen = experiment["reference_force"], tested_specimen(experiment)
+    derived = section["sensors.velocity"] == "derived"
+    cutoff = section["sensors.velocity_cutoff"] if derived else None
+    plant = Plant.of_model(source, model, motion=True)
     return LoopRig(plant, model.drive, specimen, cutoff, small_signal=not model.is_linear)
 
 
@@ -422,12 +422,10 @@ class PlannedTest:
         """Whether none of `loops` grows."""
         return self.growth_rate(**changes) <= NEUTRAL
 
-    def _sample(
-        self, stiffness: float, dead_time: float, gain: float
-    ) -> tuple[Floats, Floats, Floats]:
-        other = stiffness != 1.0
-        rig = choose_rig(self.experiment, stiffness) if other else self.rig
-        return rig.sampled(self.dt, dead_time, gain)
+    def _sample(self, stiffness: float, *drive: float) -> tuple[Floats, Floats, Floats]:
+        """Sample the rig with this specimen, and a dead time and gain of its drive."""
+        rig = self.rig if stiffness == 1.0 else choose_rig(self.experiment, stiffness)
+        return rig.sampled(self.dt, *drive)
 
     def _linear_controllers(self) -> Sequence[tuple[Floats | None, LinearControl]]:
         """Make the controller as it starts, then at the bounds to which it may adapt.
@@ -438,12 +436,11 @@ class PlannedTest:
         control = LinearControl.none(n)
         if self.rig.drive == VALVE_COMMAND.name:
             made = force_control(section, self.axes, self.experiment.timebase)
-            if isinstance(made, VelocityFeedforward):
-                if not self.follows:
-                    raise InputError(
-                        f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion: set "
-                        f"reference_force: compensation.method to {TARGET_MOTION}"
-                    )
+            if isinstance(made, VelocityFeedforward) and self.follows:
                 return frozen_feedforward(made)
+            if isinstance(made, VelocityFeedforward):
+                mend = f"set reference_force: compensation.method to {TARGET_MOTION}"
+                text = f"force_controller: {VELOCITY_FEEDFORWARD} needs a target motion"
+                raise InputError(f"{text}: {mend}")
             control = made.linear()
         return [(np.eye(n, 3 * n, k=FORCE_ROW * n) if self.follows else None, control)]

@@ -115,20 +115,17 @@ class Plant:
 
         The dead time is that of the slowest actuator.
         """
-        outputs = slice(0 if motion else 3 * model.b.shape[1], None)
-        shown = model.shown
-        c, d, lags = shown.c[outputs], shown.d[outputs], shown.late[outputs]
+        first, shown, delay = 0 if motion else 3 * model.b.shape[1], model.shown, model.delay.max()
+        c, d, lags = shown.c[first:], shown.d[first:], shown.late[first:]
         late = lags if lags.any() else None
-        delay = float(model.delay.max())
-        return cls(source, model.a, model.b, c, d, delay, late).without_idle_states()
+        return cls(source, model.a, model.b, c, d, float(delay), late).without_idle_states()
 
     def axis(self, index: int) -> "Plant":
         """Plant of one axis alone, the valves of the others closed."""
         one = slice(index, index + 1)
         late = None if self.late is None else self.late[one]
-        return replace(
-            self, b=self.b[:, one], c=self.c[one], d=self.d[one, one], late=late
-        ).without_idle_states()
+        own = replace(self, b=self.b[:, one], c=self.c[one], d=self.d[one, one], late=late)
+        return own.without_idle_states()
 
     def without_idle_states(self) -> "Plant":
         """Remove states that no valve reaches or no output shows, as those of idle springs."""
@@ -166,10 +163,8 @@ class Plant:
         """
         whole, remainder = lti.split_dead_time(self.delay, dt)
         if whole > MAX_DELAY_STEPS:
-            raise InputError(
-                f"the plant's dead time of {self.delay:g} s is {whole} samples long, but at most "
-                f"{MAX_DELAY_STEPS} are allowed"
-            )
+            found = f"is {whole} samples long, but at most {MAX_DELAY_STEPS} are allowed"
+            raise InputError(f"the plant's dead time of {self.delay:g} s {found}")
         early, forced_early, _ = lti.first_order_hold(self.a, self.b, remainder)
         late, forced_late, _ = lti.first_order_hold(self.a, self.b, dt - remainder)
         size, n = self.b.shape
@@ -247,10 +242,8 @@ class Plant:
         """Lightly damped pole above that zero at which the gain of the plant is largest."""
         zero = self.antiresonance()
         above = [p for p in lightly_damped(self.roots[0]) if zero is None or p.hz > zero.hz]
-        if not above:
-            return None
         peaks = np.abs(self.response(np.array([pole.hz for pole in above])))
-        return above[int(peaks.argmax())]
+        return above[int(peaks.argmax())] if above else None
 
 
 FOLDED = 0.5

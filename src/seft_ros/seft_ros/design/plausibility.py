@@ -36,16 +36,6 @@ USUAL_DAMPING = 0.2
 """Damping ratio that a structure has at most."""
 
 
-_MIXED_UP = (
-    (1e3, 1.0, 1.0),
-    (1e3, 1e3, 1.0),
-    (1e3, 1.0, 1e3),
-    (1e3, 1e3, 1e3),
-    (1.0, 1.0, 1e3),
-    (1e6, 1.0, 1.0),
-)
-"""Factors by which stiffness, damping and mass may have been given too small, in this order: who
-gives a mass in t gives a stiffness in kN/m, if the other fits, too."""
 _MEANT = {
     ("stiffness", 1e3): "N/m (kN/m?)",
     ("stiffness", 1e6): "N/m (kN/mm?)",
@@ -53,6 +43,12 @@ _MEANT = {
 }
 """Quantity, and factor: its unit, and the one that may be meant."""
 _QUANTITIES = "stiffness", "damping", "mass"
+_MIXED_UP = (
+    *((1e3, 1.0, 1.0), (1e3, 1e3, 1.0), (1e3, 1.0, 1e3), (1e3, 1e3, 1e3)),
+    *((1.0, 1.0, 1e3), (1e6, 1.0, 1.0)),
+)
+"""Factors by which these may have been given too small, in this order: who gives a mass in t gives
+a stiffness in kN/m, if the other fits, too."""
 
 
 def expected_response(
@@ -127,17 +123,14 @@ def unit_refusal(
 
 def _specimens(experiment: Experiment) -> Iterator[tuple[str, str, Experiment]]:
     """Give place and group of a specimen's parameters, and the experiment in which it counts."""
-    known = group(experiment["reference_force"], "specimen")
-    if not is_simulated(experiment):
-        yield EVERY_NODE, "specimen", experiment
-        return
-    true = group(experiment["rig"], "simulated.specimen")
-    if all(true[name] == known[name] for name in ("mass", "damping", "stiffness")):
-        yield EVERY_NODE, "specimen", experiment
-        return
-    yield "rig", "simulated.specimen", experiment
-    others = {node: own for node, own in experiment.sections.items() if node != "rig"}
-    yield EVERY_NODE, "specimen", Experiment(others)
+    known, seen = group(experiment["reference_force"], "specimen"), experiment
+    if is_simulated(experiment):
+        true = group(experiment["rig"], "simulated.specimen")
+        if any(true[name] != known[name] for name in _QUANTITIES):
+            yield "rig", "simulated.specimen", experiment
+            others = {node: own for node, own in experiment.sections.items() if node != "rig"}
+            seen = Experiment(others)
+    yield EVERY_NODE, "specimen", seen
 
 
 def _mixed_up(
@@ -161,8 +154,7 @@ def _mixed_up(
         hz, damping = _first_mode(tested_specimen(changed))
         if not slow < hz < fast or damping > USUAL_DAMPING:
             continue
-        section, axes, timebase = changed["ground_motion"], changed.axes, changed.timebase
-        motion = GroundMotion(section, axes, timebase)
+        motion = GroundMotion(changed["ground_motion"], changed.axes, changed.timebase)
         if _misfit(changed, motion, peaks_by_axis(changed, motion))[0]:
             continue
         fitting = [
@@ -250,10 +242,8 @@ def range_refusal(experiment: Experiment, peaks: Mapping[str, Floats]) -> str:
         share = peaks[name] / ranges
         axis = int(share.argmax())
         if not SMALLEST_SHARE <= share[axis] <= LARGEST_SHARE:
-            found.append(
-                f"{name} {peaks[name][axis]:.3g} of {ranges[axis]:g} {unit} "
-                f"({100 * share[axis]:.3g} %)"
-            )
+            peak, part = f"{peaks[name][axis]:.3g}", f"({100 * share[axis]:.3g} %)"
+            found.append(f"{name} {peak} of {ranges[axis]:g} {unit} {part}")
     if not found:
         return ""
     return (
@@ -324,8 +314,8 @@ class Actuators:
         which is another matter.
         """
         f = response.force
-        flow = response.velocity
-        flow = flow + (np.gradient(f, dt, axis=0) + self.leakage * f) / self.oil_stiffness
+        filling = (np.gradient(f, dt, axis=0) + self.leakage * f) / self.oil_stiffness
+        flow = response.velocity + filling
         left = 1.0 - np.sign(flow) * f / self.force_capacity
         unloaded = np.abs(flow) / np.sqrt(np.where(left > 0.0, left, np.inf))
         largest: Floats = unloaded.max(axis=0)
@@ -372,10 +362,8 @@ def excesses(experiment: Experiment, response: ReferenceResponse | None) -> list
         share = peak / most
         axis = int(share.argmax())
         if share[axis] > 1.0:
-            text = (
-                f"expected {name} on axis {experiment.axes[axis]} is {peak[axis]:.4g} {unit}, "
-                f"{100 * share[axis]:.4g} % of {what} ({most[axis]:.5g} {unit})"
-            )
+            text = f"expected {name} on axis {experiment.axes[axis]} is {peak[axis]:.4g} {unit}"
+            text += f", {100 * share[axis]:.4g} % of {what} ({most[axis]:.5g} {unit})"
             is_limit = place < len(CHANNELS)
             found.append(Excess(text, is_limit and bool(peak.max() < highest.get(name, np.inf))))
     return found
@@ -383,12 +371,10 @@ def excesses(experiment: Experiment, response: ReferenceResponse | None) -> list
 
 def excess_text(found: Sequence[Excess]) -> str:
     """Say in one line what is exceeded, and how to mend it; empty if nothing is."""
-    if not found:
-        return ""
     mend = "lower ground_motion: peak_force"
     if all(excess.can_be_raised for excess in found):
         mend += ", or raise the limit (seft preflight CONFIG --write limits.yaml proposes one)"
-    return f"{'; '.join(excess.text for excess in found)}; {mend}"
+    return "; ".join([*(excess.text for excess in found), mend]) if found else ""
 
 
 LARGEST_STOP = 0.5

@@ -92,10 +92,11 @@ class ModelTime:
 
     def texts(self) -> list[str]:
         """Say how long its steps take, and which of them the margins know."""
+        times = self.median_s, self.p999_s, self.longest_s, self.budget_s
+        median, p999, longest, budget = (f"{1e3 * time:.2g} ms" for time in times)
+        said = f"{median} for a step, {p999} for one of 1000, {longest} for the longest"
         return [
-            f"computed model: {1e3 * self.median_s:.2g} ms for a step, "
-            f"{1e3 * self.p999_s:.2g} ms for one of 1000, {1e3 * self.longest_s:.2g} ms for the "
-            f"longest, of {1e3 * self.budget_s:.2g} ms",
+            f"computed model: {said}, of {budget}",
             "the margins above take its tangent at rest",
         ]
 
@@ -115,10 +116,9 @@ def planned_motion(experiment: Experiment) -> GroundMotion | None:
     for name, check in _OF_SPECIMEN.items():
         if name in (known := experiment.sections.get("reference_force", {})):
             check(known[name], experiment.axes, f"{EVERY_NODE}: {name}")
-    section = experiment.sections.get("ground_motion")
-    if section is None:
-        return None
-    return GroundMotion(section, experiment.axes, experiment.timebase)
+    if section := experiment.sections.get("ground_motion"):
+        return GroundMotion(section, experiment.axes, experiment.timebase)
+    return None
 
 
 def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTime | None:
@@ -149,7 +149,6 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         if fits or median > share:  # half of the steps: no stalls of the host
             break
     every = math.ceil(p999 / (SHARE * dt))
-    can_divide = every <= MAX_APART
     rate = next((rate for rate in RATES if p999 * rate <= SHARE * model.every), None)
     return ModelTime(
         median_s=median,
@@ -160,7 +159,7 @@ def model_time(experiment: Experiment, planned: GroundMotion | None) -> ModelTim
         longest_allowed_s=allowed,
         rate_hz=1 / dt,
         fits=fits,
-        fitting_every=every if can_divide else None,
+        fitting_every=every if every <= MAX_APART else None,
         fitting_rate_hz=rate,
     )
 
@@ -213,17 +212,11 @@ def limits_table(
 ) -> TextTable:
     """Tabulate expected peaks, the limits of the test, and limits that fit."""
     limits = group(experiment["supervisor"], "limits")
-    marks = {True: Mark.BAD, False: Mark.NONE}
-    rows: list[list[str | Cell]] = [
-        [
-            name,
-            unit,
-            f"{peaks[name]:.3g}",
-            Cell(f"{limits[name]:g}", marks[peaks[name] > limits[name]]),
-            f"{limit:g}",
-        ]
-        for (name, limit), unit in zip(proposed.items(), LIMIT_UNITS, strict=False)
-    ]
+    rows: list[list[str | Cell]] = []
+    for (name, limit), unit in zip(proposed.items(), LIMIT_UNITS, strict=False):
+        now, peak = limits[name], peaks[name]
+        shown = Cell(f"{now:g}", Mark.BAD if peak > now else Mark.NONE)
+        rows.append([name, unit, f"{peak:.3g}", shown, f"{limit:g}"])
     return TextTable(("limit of", "unit", "expected peak", "limit", "proposed limit"), rows)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from timeit import timeit
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,18 +12,8 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from seft_msgs_py.arrays import Floats
 
-from seft_ros.design import stability_margins
+from seft_ros.design import stability_margins as margin
 from seft_ros.design.planned_tests import NEUTRAL, PlannedTest
-from seft_ros.design.stability_margins import (
-    DEAD_TIME,
-    DECIDES,
-    HEADINGS,
-    LOCAL_STIFFNESS,
-    MASS_RATIO,
-    MarginEnd,
-    end_texts,
-    meanings,
-)
 from seft_ros.design.stability_verdict import Preflight
 from seft_ros.drawing.style import TEXT, new_figure
 
@@ -36,8 +27,8 @@ _COLOURS = (
     "#fbe6de", "#f6cbbb", "#efac96", "#e58a70", "#d6684f",
 )  # fmt: skip
 _PANELS = (
-    (DEAD_TIME, "against dead time, unknown to the method", "actuator's dead time / ms", 1e3),
-    (LOCAL_STIFFNESS, "against local stiffness, unknown to the method", LOCAL_STIFFNESS, 1.0),
+    (margin.DEAD_TIME, "dead time", "actuator's dead time / ms", 1e3),
+    (margin.LOCAL_STIFFNESS, "local stiffness", margin.LOCAL_STIFFNESS, 1.0),
 )
 _PLAN = {"stable": "#2e7d32", "marginal": "#e08a00", "unstable": "#b00020"}
 
@@ -63,9 +54,7 @@ class StabilityMap:
 
 
 def stability_maps(
-    test: PlannedTest,
-    margins: stability_margins.Margins,
-    progress: stability_margins.Progress | None = None,
+    test: PlannedTest, margins: margin.Margins, progress: margin.Progress | None = None
 ) -> list[StabilityMap]:
     """Map a planned test's growth rate as far as its margins reach; progress is in rows.
 
@@ -76,11 +65,11 @@ def stability_maps(
     ends = (margins.dead_time, margins.mass_ratio)
     end, critical = (part.value if part else 0.0 for part in ends)
     longest = max(2 * test.dead_time, 10 * test.dt, 1.5 * end)
-    longest = min(longest, test.dead_time + float(stability_margins.added_delays(test)[-1]))
+    longest = min(longest, test.dead_time + float(margin.added_delays(test)[-1]))
     swept = {"dead_time": (longest, 1.0, test.dead_time)}
-    own = stability_margins.local_stiffness(test)
+    own = margin.local_stiffness(test)
     if own is not None:
-        swept["stiffness"] = (max(stability_margins.STIFFEST, 1.2 * own), own, own)
+        swept["stiffness"] = (max(margin.STIFFEST, 1.2 * own), own, own)
     test.growth_rate(dead_time=longest)  # fills the caches
     each = timeit(lambda: test.growth_rate(dead_time=longest), number=1)
     size = int(np.clip(np.sqrt(_MAP_TIME_S / len(swept) / each), _COARSEST, _FINEST))
@@ -91,10 +80,8 @@ def stability_maps(
     for name, (high, unit, planned) in swept.items():
         others, growth = np.linspace(0.0, high, size), np.empty((size, size))
         for index, other in enumerate((others / unit).tolist()):
-            growth[index] = [
-                test.growth_rate(mass_ratio=ratio, **{name: other})
-                for ratio in mass_ratios.tolist()
-            ]
+            at = ({"mass_ratio": ratio, name: other} for ratio in mass_ratios.tolist())
+            growth[index] = [test.growth_rate(**each) for each in at]
             if progress is not None:
                 progress("map", size * len(maps) + index + 1, size * len(swept))
         maps.append(StabilityMap(mass_ratios, others, growth, (test.mass_ratio, planned)))
@@ -114,16 +101,17 @@ _COLUMNS = (0.0, 0.38, 0.54, 0.7, 0.87)
 def preflight_figure(test: PlannedTest, found: Preflight, maps: list[StabilityMap]) -> Figure:
     """Draw the maps of a test, one panel each, and below the margins that make the verdict."""
     width = max(6.0 * len(maps), _NARROWEST)
-    notes = [line for text in meanings(found.ends) for line in wrap(text, round(_LETTERS * width))]
+    letters = round(_LETTERS * width)
+    notes = [line for text in margin.meanings(found.ends) for line in wrap(text, letters)]
     below = _LINE * (len(found.ends) + len(notes) + 2.5)
     figure = new_figure(width, 5.6 + below)
     grid = figure.add_gridspec(2, len(maps), height_ratios=(5.6, below))
     panels = [figure.add_subplot(grid[0, place]) for place in range(len(maps))]
-    for axes, area, panel in zip(panels, maps, _PANELS, strict=False):
-        name, title, label, scale = panel
+    for axes, area, (name, what, label, scale) in zip(panels, maps, _PANELS, strict=False):
         filled = _draw(axes, area, scale, found.verdict)
-        ends = (end for end in found.ends if end.name in (name, MASS_RATIO))
+        ends = (end for end in found.ends if end.name in (name, margin.MASS_RATIO))
         _mark(axes, area, scale, ends, _PLAN[found.verdict])
+        title = f"against {what}, unknown to the method"
         axes.set_title(title, loc="left", fontsize=11, color=TEXT)
         axes.set_ylabel(label, color=TEXT)
     bar = figure.colorbar(filled, ax=panels, pad=0.01, aspect=32, spacing="uniform")
@@ -141,7 +129,7 @@ def preflight_figure(test: PlannedTest, found: Preflight, maps: list[StabilityMa
 
 
 def _mark(
-    axes: Axes, area: StabilityMap, scale: float, ends: Iterable[MarginEnd], colour: str
+    axes: Axes, area: StabilityMap, scale: float, ends: Iterable[margin.MarginEnd], colour: str
 ) -> None:
     """Mark the ends that decide the verdict, and those of which the map shows nothing."""
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
@@ -149,29 +137,23 @@ def _mark(
         if end.critical is None or not (end.decides or end.more):
             continue
         x, y = area.planned[0], scale * end.critical.value
-        if end.name == MASS_RATIO:
+        if end.name == margin.MASS_RATIO:
             x, y = end.critical.value, scale * area.planned[1]
         if not (left <= x <= right and low <= y <= high):
             continue
         shown = colour if end.decides else TEXT
-        text = f"{DECIDES} critical" if end.decides else "critical"
+        text = f"{margin.DECIDES} critical" if end.decides else "critical"
         text = f"{text}, {end.more}" if end.more else text
         axes.plot(x, y, "D", ms=7, mfc=shown, mec="white", clip_on=False, zorder=6)
         to_left = 0.45 * right <= x <= area.planned[0]  # where there is room
-        axes.annotate(
-            text,
-            (x, y),
-            (-9 if to_left else 9, -4),
-            textcoords="offset points",
-            ha="right" if to_left else "left",
-            fontsize=9,
-            color=shown,
-        )
+        side, off = ("right", -9) if to_left else ("left", 9)
+        look: dict[str, Any] = {"ha": side, "fontsize": 9, "color": shown}
+        axes.annotate(text, (x, y), (off, -4), textcoords="offset points", **look)
 
 
 def _write(axes: Axes, found: Preflight, notes: Sequence[str]) -> None:
     """Write the ends of the margins under their headings, and what they mean."""
-    rows = [list(HEADINGS), *end_texts(found.ends)]
+    rows = [list(margin.HEADINGS), *margin.end_texts(found.ends)]
     decide = [False, *(end.decides for end in found.ends)]
     axes.set_axis_off()
     axes.set(xlim=(0.0, 1.0), ylim=(len(rows) + len(notes) + 1.0, -0.5))
@@ -192,10 +174,8 @@ def _draw(axes: Axes, area: StabilityMap, scale: float, verdict: str) -> QuadCon
     filled = axes.contourf(x, y, bent, levels=levels, colors=_COLOURS, extend="both")
     if bent.min() < 0 < bent.max():
         axes.contour(x, y, bent, levels=[0.0], colors=TEXT, linewidths=1.8)
-    planned = area.planned[0], scale * area.planned[1]
-    axes.plot(
-        *planned, "o", ms=9, mfc=_PLAN[verdict], mec="white", mew=1.5, clip_on=False, zorder=5
-    )
+    planned, colour = (area.planned[0], scale * area.planned[1]), _PLAN[verdict]
+    axes.plot(*planned, "o", ms=9, mfc=colour, mec="white", mew=1.5, clip_on=False, zorder=5)
     axes.annotate("planned", planned, (9, 7), textcoords="offset points", fontsize=9, color=TEXT)
     axes.set_xlabel("mass ratio $\\alpha$", color=TEXT)
     axes.tick_params(colors=TEXT, labelsize=9)

@@ -116,7 +116,7 @@ def find_margins(test: PlannedTest, progress: Progress | None = None) -> Margins
         own = local_stiffness(test)
         if own is not None:
             up, down = np.linspace(own, max(STIFFEST, own), 17), np.linspace(own, 0.0, 17)
-            stiffness = partial(_range, test, "stiffness", own, up, down, own)
+            stiffness = partial(_range, test, "stiffness", own, up, down, unit=own)
             searches["stiffness"] = stiffness
             if test.follows:
                 searches["followed"] = partial(stiffness, followed=True)
@@ -155,15 +155,12 @@ def instability_band(test: PlannedTest) -> tuple[float, float] | None:
     either side, up to Nyquist's. None: no instability was found, or it does not oscillate.
     """
     stable = test.is_stable()
-    ends = [_end(test, "gain", _FACTORS)] if stable else []
-    found = [end.hz for end in (*ends, critical_dead_time(test)) if end is not None]
-    if not stable:
-        found.append(test.hz())
+    ends = critical_dead_time(test), _end(test, "gain", _FACTORS) if stable else None
+    found = [*(end.hz for end in ends if end), 0.0 if stable else test.hz()]
     oscillating = [hz for hz in found if hz > 0]
     if not oscillating:
         return None
-    nyquist = 0.5 / test.dt
-    return min(oscillating) / HALF_WIDTH, min(max(oscillating) * HALF_WIDTH, nyquist)
+    return min(oscillating) / HALF_WIDTH, min(max(oscillating) * HALF_WIDTH, 0.5 / test.dt)
 
 
 def local_stiffness(test: PlannedTest) -> float | None:
@@ -171,9 +168,8 @@ def local_stiffness(test: PlannedTest) -> float | None:
 
     None if one of them is 0.
     """
-    model = symmetric_matrix(
-        test.section["specimen.stiffness"], test.axes, "/**: specimen.stiffness"
-    )
+    name = "specimen.stiffness"
+    model = symmetric_matrix(test.section[name], test.axes, f"/**: {name}")
     own, assumed = float(np.trace(test.rig.specimen.stiffness)), float(np.trace(model))
     return own / assumed if own and assumed else None
 
@@ -235,15 +231,9 @@ def _delay_error(test: PlannedTest) -> Range | None:
 
 
 def _range(
-    test: PlannedTest,
-    name: str,
-    planned: float,
-    up: Floats,
-    down: Floats,
-    unit: float = 1.0,
-    **fixed: Any,
+    test: PlannedTest, name: str, planned: float, up: Floats, down: Floats, **how: Any
 ) -> Range:
-    low, high = (_end(test, name, points, unit, **fixed) for points in (down, up))
+    low, high = (_end(test, name, points, **how) for points in (down, up))
     return Range(planned, low, high, (float(down[-1]), float(up[-1])))
 
 

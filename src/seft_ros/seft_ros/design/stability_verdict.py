@@ -209,9 +209,8 @@ def check_stability(planned_test: PlannedTest, progress: Progress | None = None)
     """Find stability, margins and predicted errors of a test; ``progress``: see `find_margins`."""
     margins = find_margins(planned_test, progress)
     ends, unstable = list(margin_ends(planned_test, margins)), not planned_test.is_stable()
-    reasons = (
-        [instability(planned_test)] if unstable else [end.reason for end in ends if end.decides]
-    )
+    reasons = [end.reason for end in ends if end.decides and not unstable]
+    reasons += [instability(planned_test)] if unstable else []
     return Preflight(
         verdict="unstable" if unstable else "marginal" if reasons else "stable",
         reasons=reasons,
@@ -235,15 +234,13 @@ begins to grow, and below 2 the samples show another frequency."""
 
 def folded(planned_test: PlannedTest) -> str:
     """Say which light oscillation of the rig is too fast for the rate; empty if none is."""
-    fastest = 1.0 / (FEWEST_SAMPLES * planned_test.dt)
-    fast = [r.hz for r in lightly_damped(roots_of(np.linalg.eigvals(planned_test.rig.plant.a)))]
-    fast = [hz for hz in fast if hz > fastest]
-    if not fast:
+    light = lightly_damped(roots_of(np.linalg.eigvals(planned_test.rig.plant.a)))
+    wanted = FEWEST_SAMPLES * max((root.hz for root in light), default=0.0)  # Hz
+    if wanted * planned_test.dt <= 1.0:
         return ""
-    return (
-        f"the oil column oscillates at {max(fast):.3g} Hz, with less than {FEWEST_SAMPLES:g} "
-        f"samples in a period: take a rate of {FEWEST_SAMPLES * max(fast):.3g} Hz or more"
-    )
+    few = f"with less than {FEWEST_SAMPLES:g} samples in a period"
+    mend = f"take a rate of {wanted:.3g} Hz or more"
+    return f"the oil column oscillates at {wanted / FEWEST_SAMPLES:.3g} Hz, {few}: {mend}"
 
 
 def _promise(planned_test: PlannedTest) -> str:

@@ -18,10 +18,7 @@ from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.command import stop_period
 from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    FORCE_CONTROLLER_TABLE,
-)
+from seft_ros.force_controller import force_controller_parameters as parameters
 from seft_ros.force_controller.interlock import Interlock
 from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
@@ -56,9 +53,8 @@ class ForceControllerNode(NodeBody):
         self._publish_stop = shell.publisher(self._stop_codec.topic)
         self._stop_steps = stop_period(timebase.dt)
         self._states: dict[int, Floats] = {}
-        self._previews: NewestPreview | None = None
-        if section["loop_delay"]:
-            self._previews = NewestPreview(section, len(axes), timebase)
+        is_linked = bool(section["loop_delay"])
+        self._previews = NewestPreview(section, len(axes), timebase) if is_linked else None
         self._forces = self._previews or MatchedForces()
         self._reported_at = self._waited = 0.0
         self._moving = False  # by the supervisor's state
@@ -72,7 +68,8 @@ class ForceControllerNode(NodeBody):
         if self._previews is not None:
             send_back = shell.publisher(topics.LINK_PONG.of(rig))
             shell.subscribe(topics.LINK_PING.of(rig), lambda raw, _: send_back(raw), reliable=False)
-        topic = topics.TARGET if section["method"] in FOLLOW_TARGETS else topics.REFERENCE_FORCE
+        follows = section["method"] in parameters.FOLLOW_TARGETS
+        topic = topics.TARGET if follows else topics.REFERENCE_FORCE
         self._force_codec = TrajectoryCodec(topic, experiment.axes, timebase)
         self._settled = 1 + max(section["loop_delay"], 0)
         self._state_codec = TrajectoryCodec(topics.RIG_STATE.of(rig), axes, timebase)
@@ -110,11 +107,8 @@ class ForceControllerNode(NodeBody):
         """Trip if states are missing."""
         if self._awake.time() - self._heard_at > self._timeout:
             unexpected = self._shell.name_unexpected_publishers(self._refused_before)
-            self._trip(
-                f"no rig/state for {self._timeout:g} s (the last is of step "
-                f"{self._order.last}); is rig running?{unexpected}",
-                self._timeout,
-            )
+            last = f"(the last is of step {self._order.last}); is rig running?{unexpected}"
+            self._trip(f"no rig/state for {self._timeout:g} s {last}", self._timeout)
 
     def fault(self, reason: str) -> None:
         """Answer with 0 V from now on."""
@@ -221,8 +215,8 @@ class ForceControllerNode(NodeBody):
                 self._answer(step, points, self._states[step])
 
     def _answer(self, step: int, points: Floats, state: Floats) -> None:
-        was_tripped = bool(self._controller.reason)
         controller = self._controller
+        was_tripped = bool(controller.reason)
         command = controller.step(step, points, state)
         if controller.reason:
             self._publish(self._command_codec.encode_points(step, controller.stop(step)))
@@ -233,15 +227,14 @@ class ForceControllerNode(NodeBody):
                 self._publish_stop(self._stop_codec.encode_points(step, stop))
         self._order.last = step
         self._states = _after(self._states, step)
-        if self._controller.reason and not was_tripped:
+        if controller.reason and not was_tripped:
             self._report_trip()
         previews = self._previews
-        if previews is not None and previews.is_lost and not self._controller.reason:
-            self._trip(
-                f"no {topics.REFERENCE_FORCE.name} for {step - previews.newest} steps (the last is "
-                f"of step {previews.newest}); is the link to the reference_force node cut?",
-                (step - previews.newest) * self._timebase.dt,
-            )
+        if previews is not None and previews.is_lost and not controller.reason:
+            ago = step - previews.newest
+            why = f"no {topics.REFERENCE_FORCE.name} for {ago} steps (the last is of step "
+            why += f"{previews.newest}); is the link to the reference_force node cut?"
+            self._trip(why, ago * self._timebase.dt)
         elif self._clock.monotonic() - self._reported_at >= _REPORT_PERIOD:
             self._report()  # after the answer there is time
 
@@ -257,14 +250,14 @@ class ForceControllerNode(NodeBody):
     def _report(self) -> None:
         self._reported_at = self._clock.monotonic()
         reason, step = self._controller.reason, self._controller.step_index
-        share = self._controller.off_target
-        level, text = OK, "ready"
+        share, watched = self._controller.off_target, f"detector {TRACKING.name}"
+        status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if share >= WARNING:
-            level, text = WARN, f"detector {TRACKING.name} came to {share:.0%} of its threshold"
-        status = Status("force_controller", level, text, values={"phase": "ready"})
+            text = f"{watched} came to {share:.0%} of its threshold"
+            status = replace(status, level=WARN, message=text)
         if reason:
             status = tripped_status("force_controller", reason, step, self._waited)
-        values = {f"detector {TRACKING.name}": f"{share:.2f} of its threshold"}
+        values = {watched: f"{share:.2f} of its threshold"}
         if self._previews is not None:
             values["link"] = self._previews.report().to_json()
         for name, estimate in (self._estimates() if self._estimates else {}).items():
@@ -278,7 +271,7 @@ def _after(kept: dict[int, Floats], step: int) -> dict[int, Floats]:
     return {other: sample for other, sample in kept.items() if other > step}
 
 
-FORCE_CONTROLLER_NODE = NodeKind(FORCE_CONTROLLER_TABLE, TABLES, ForceControllerNode)
+FORCE_CONTROLLER_NODE = NodeKind(parameters.FORCE_CONTROLLER_TABLE, TABLES, ForceControllerNode)
 main = FORCE_CONTROLLER_NODE.main
 
 

@@ -32,9 +32,7 @@ class GroundMotionNode(NodeBody):
         self._codec = TrajectoryCodec(GROUND_MOTION, experiment.axes, experiment.timebase)
         self._timebase = experiment.timebase
         self._publish = shell.publisher(GROUND_MOTION)
-        self._next_chunk = 0
-        self._published_until = 0
-        self._rig_step = 0
+        self._next_chunk = self._published_until = self._rig_step = 0
         self._phase = "idle"
         shell.subscribe(EXPERIMENT_STATE, self._on_experiment_state, depth=16)
         shell.subscribe(CLOCK_TOPIC, self._on_clock)
@@ -47,11 +45,9 @@ class GroundMotionNode(NodeBody):
         """Publish the chunks within the lead; the first one before the test starts."""
         if self._phase in ENDED:
             return
-        while (
-            self._next_chunk < len(self.motion.chunks)
-            and self._published_until <= self._rig_step + self._lead_steps
-        ):
-            first, values = self.motion.chunks[self._next_chunk]
+        for first, values in self.motion.chunks[self._next_chunk :]:
+            if self._published_until > self._rig_step + self._lead_steps:
+                break
             self._publish(self._codec.encode_points(first, values))
             self._next_chunk += 1
             self._published_until = first + len(values)

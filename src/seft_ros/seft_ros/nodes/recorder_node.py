@@ -10,6 +10,7 @@ import json
 import sys
 from collections import Counter, deque
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
@@ -236,18 +237,15 @@ class RecorderNode(NodeBody):
         if self._section["name"]:
             return directory / self._section["name"]
         name = datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
-        number = 1
-        while (place := directory / (f"{name}_{number}" if number > 1 else name)).exists():
-            number += 1
-        return place
+        ends = chain(("",), (f"_{k}" for k in count(2)))
+        return next(p for end in ends if not (p := directory / f"{name}{end}").exists())
 
     def _check_place(self) -> None:
         """Make the next test wait while its bag can't be made."""
         if (now := self._clock.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
-        why = why_not_writable(self._place())
-        if why:
+        if why := why_not_writable(self._place()):
             why += "; correct that, or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
             self._report(**(self._values | {WAITS: why}))

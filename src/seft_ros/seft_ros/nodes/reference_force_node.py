@@ -20,15 +20,11 @@ from seft_msgs_py.wire.topics import rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.reference_force import reference_force_parameters as parameters
 from seft_ros.reference_force.reference_force_block import (
     EstimateSampler,
     MotionBuffer,
     StateGathering,
-)
-from seft_ros.reference_force.reference_force_parameters import (
-    LONGEST_MODEL_STEP,
-    REFERENCE_FORCE_TABLE,
-    reference_force_topic,
 )
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST_KEY, RAMPING_DOWN
@@ -48,7 +44,7 @@ class ReferenceForceNode(NodeBody):
         self._block = self._protected_force()
         self._window = 1 + self._block.preview
         self._delay = max(section["loop_delay"], 0)
-        topic = reference_force_topic(section)
+        topic = parameters.reference_force_topic(section)
         self._motion_codec = TrajectoryCodec(topics.GROUND_MOTION, axes, timebase)
         self._force_codec = TrajectoryCodec(topic, axes, timebase)
         self._state_codecs = [
@@ -111,10 +107,8 @@ class ReferenceForceNode(NodeBody):
 
     def _warm_up(self) -> None:
         axes = len(self._shell.experiment.axes)
-        motion, state = (
-            np.zeros((self._window, axes)),
-            np.zeros((len(topics.RIG_STATE.quantities), axes)),
-        )
+        motion = np.zeros((self._window, axes))
+        state = np.zeros((len(topics.RIG_STATE.quantities), axes))
         for step in range(WARM_UP_STEPS):
             for codec in self._state_codecs:
                 codec.decode(codec.encode(step, state[:, : len(codec.axes)]))
@@ -145,8 +139,7 @@ class ReferenceForceNode(NodeBody):
         self._motion.drop_before(self._order.last)
         if not self._motion.add(first, values[:, 0]):
             raise WireError(f"ground_motion from step {first} on: steps before it are missing")
-        for step in sorted(self._waiting):
-            self._answer(step, self._waiting[step])
+        self._answer_waiting()
 
     def _on_rig_state(self, rig: int, raw: bytes, _: int) -> None:
         step, values = self._state_codecs[rig].decode(raw)
@@ -196,8 +189,7 @@ class ReferenceForceNode(NodeBody):
         """Act on the state of the test, also at the beginning of a test."""
         if self._test == State.RAMPING_DOWN:
             self._block.ramp.begin()
-            for step in sorted(self._waiting):
-                self._answer(step, self._waiting[step])
+            self._answer_waiting()
         elif self._test in ENDED:
             self._waiting.clear()
             self._report(ALL_ANSWERED)
@@ -211,6 +203,10 @@ class ReferenceForceNode(NodeBody):
         self._conflict = reason
         if reason:
             self._shell.report(tripped_status("reference_force", reason, step, waited))
+
+    def _answer_waiting(self) -> None:
+        for step in sorted(self._waiting):
+            self._answer(step, self._waiting[step])
 
     def _answer(self, step: int, state: Floats) -> None:
         """Answer a state, or keep it until its ground motion arrives."""
@@ -236,12 +232,10 @@ class ReferenceForceNode(NodeBody):
         begun = self._clock.monotonic()
         self._block.ask_model()
         took = self._clock.monotonic() - begun
-        if took > LONGEST_MODEL_STEP and not self._order.in_lockstep:
+        if took > parameters.LONGEST_MODEL_STEP and not self._order.in_lockstep:
             name = self._shell.experiment["reference_force"]["computed.model"]
-            self._trip_for(
-                f"computed.model {name} took {took:.3g} s for a step; seft preflight measures it",
-                step,
-            )
+            why = f"took {took:.3g} s for a step; seft preflight measures it"
+            self._trip_for(f"computed.model {name} {why}", step)
 
     def _message(self, step: int, motion: Floats | None, state: Floats) -> bytes:
         """Message that answers a state; lost states before it are interpolated."""
@@ -276,7 +270,7 @@ class ReferenceForceNode(NodeBody):
             self._shell.refuse(str(error))
 
 
-REFERENCE_FORCE_NODE = NodeKind(REFERENCE_FORCE_TABLE, TABLES, ReferenceForceNode)
+REFERENCE_FORCE_NODE = NodeKind(parameters.REFERENCE_FORCE_TABLE, TABLES, ReferenceForceNode)
 main = REFERENCE_FORCE_NODE.main
 
 

@@ -12,17 +12,9 @@ from typing import Any
 
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.transport import AwakeClock, Level
-from seft_msgs_py.wire import outcome, topics
+from seft_msgs_py.wire import messages, outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
-from seft_msgs_py.wire.messages import (
-    ERROR,
-    OK,
-    WARN,
-    Status,
-    decode_clock,
-    decode_description,
-    decode_diagnostics,
-)
+from seft_msgs_py.wire.messages import ERROR, OK, WARN, Status
 from seft_msgs_py.wire.outcome import State
 
 from seft_ros.test_run.course import RUNNING, Course
@@ -182,13 +174,12 @@ class SupervisorNode(NodeBody):
 
     def _log(self, level: int) -> None:
         """Log the state if it is new."""
-        line = self._course.machine.log_line
-        if line != self._logged:
+        if (line := self._course.machine.log_line) != self._logged:
             self._logged = line
             self._shell.log(LOG_LEVELS[level], line)
 
     def _on_diagnostics(self, raw: bytes, _: int) -> None:
-        for status in decode_diagnostics(raw)[1]:
+        for status in messages.decode_diagnostics(raw)[1]:
             self._course.now = self._awake.time()
             self._course.hear(status)
             with self._lock:
@@ -196,11 +187,11 @@ class SupervisorNode(NodeBody):
                 self._publish_if_due()
 
     def _on_description(self, raw: bytes, _: int) -> None:
-        node, description = decode_description(raw)
+        node, description = messages.decode_description(raw)
         self._descriptions[node] = description
 
     def _on_clock(self, raw: bytes, _: int) -> None:
-        self._course.test_s = decode_clock(raw) / topics.NANOSECONDS_PER_SECOND
+        self._course.test_s = messages.decode_clock(raw) / topics.NANOSECONDS_PER_SECOND
 
 
 SUPERVISOR_NODE = NodeKind(SUPERVISOR_TABLE, TABLES, SupervisorNode)

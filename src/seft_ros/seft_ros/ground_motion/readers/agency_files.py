@@ -286,8 +286,8 @@ def read_geonet(path: Path, lines: list[str]) -> Columns | None:
         there = sum(1 for _ in takewhile(_is_geonet_row, lines[start:]))
         if there % max(rows, 1):
             wanted = f"{count} points are {rows} rows for each quantity; fetch the record again"
-            found = f"{there} rows of values follow, but {wanted}"
-            raise InputError(f"{path}: line {index + 1}: {found}")
+            what = f"{there} rows of values follow, but {wanted}"
+            raise InputError(f"{path}: line {index + 1}: {what}")
         size, place = float(period.group(1) or 1), f"line {index + 1}"
         dt = Statement(float(period.group(3)), place)
         unit = Statement(known_unit(path, index + 1, period.group(2) or peak.group(1)), place)
