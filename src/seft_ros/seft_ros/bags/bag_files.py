@@ -261,13 +261,9 @@ class Recovery:
         if self.intact:
             known = "" if self.checked else ", without checksums: changed ones are not noticed"
             return f"{self.path} is intact ({self.messages} messages{known}); nothing was done"
-        return "\n".join(
-            (
-                *self.damage,
-                f"{self.path} now is a bag of the {self.messages} messages that can be read; the "
-                f"damaged original is kept as {self.original}",
-            )
-        )
+        kept = f"the damaged original is kept as {self.original}"
+        now = f"{self.path} now is a bag of the {self.messages} messages that can be read; {kept}"
+        return "\n".join([*self.damage, now])
 
 
 def recover_bag(path: str | Path) -> Recovery:
@@ -292,11 +288,9 @@ def recover_bag(path: str | Path) -> Recovery:
     place = Path(os.path.realpath(path))
     cut, fresh = place.with_name(place.name + ".cut"), place.with_name(place.name + ".recovering")
     storage_files(place)
-    if place.is_dir():
-        name, final = place.name, place
-        whole = fresh / name
-    else:
-        name = place.name.removesuffix(".zstd").removesuffix(storage_suffix(place))
+    name, final, whole = place.name, place, fresh / place.name
+    if not place.is_dir():
+        name = name.removesuffix(".zstd").removesuffix(storage_suffix(place))
         final = place.with_name(f"{name}.mcap")
         whole = fresh / name / final.name
     with Bag(path) as bag:

@@ -20,7 +20,6 @@ from io import BytesIO, StringIO
 from itertools import chain, count
 from pathlib import Path
 from signal import raise_signal
-from types import TracebackType
 from typing import IO, Any, Self, cast
 
 from mcap.writer import CompressionType, Writer
@@ -177,11 +176,11 @@ class BagWriter:
             why = self._displaced()
             if not why and (self._out.data or self._file is None):
                 why = self.trouble
-            if not why:
-                try:
+            try:
+                if not why:
                     _write_metadata(self.path, self._metadata)
-                except OSError as error:
-                    why = f"{self.path}: {file_reason(error)}"
+            except OSError as error:
+                why = f"{self.path}: {file_reason(error)}"
             if why:
                 is_left = self._file is not None and os.fstat(self._file.fileno()).st_nlink
                 left = "; the bag lacks its end, and can be read as it is" if is_left else ""
@@ -222,12 +221,7 @@ class BagWriter:
             raise InputError(f"{self.trouble}; name another folder with --out")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         try:
             self.close()
         except ExperimentError:
@@ -269,17 +263,13 @@ class BagWriter:
 
     def _new_channel(self, source: BagSource) -> int:
         """Add a topic, of whatever type."""
-        if source.type not in self._types:
-            self._types[source.type] = self._writer.register_schema(
-                source.type, source.encoding, source.definition.encode()
-            )
-        metadata = {
-            "offered_qos_profiles": _qos_text(source.qos),
-            "topic_type_hash": source.digest(),
-        }
-        return self._writer.register_channel(
-            source.topic, source.serialization, self._types[source.type], metadata
-        )
+        if (kind := source.type) not in self._types:
+            definition = source.encoding, source.definition.encode()
+            self._types[kind] = self._writer.register_schema(kind, *definition)
+        qos, digest = _qos_text(source.qos), source.digest()
+        metadata = {"offered_qos_profiles": qos, "topic_type_hash": digest}
+        known = source.topic, source.serialization, self._types[kind]
+        return self._writer.register_channel(*known, metadata)
 
     def _complete(self) -> None:
         """Add the index."""
@@ -445,10 +435,8 @@ def why_not_writable(place: Path) -> str:
     needed = RESERVED + _LEFT
     largest, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
     if largest != resource.RLIM_INFINITY and largest < needed:
-        return (
-            f"a file may have {largest / 1e6:.0f} MB by a limit of this process (ulimit -f), and "
-            f"the bag needs {needed / 1e6:.0f} MB"
-        )
+        may = f"{largest / 1e6:.0f} MB by a limit of this process (ulimit -f)"
+        return f"a file may have {may}, and the bag needs {needed / 1e6:.0f} MB"
     try:
         with suppress(FileNotFoundError, NotADirectoryError):
             place.lstat()

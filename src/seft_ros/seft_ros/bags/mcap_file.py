@@ -248,14 +248,9 @@ class McapFile:
                 self._schemas[schema.id] = schema
             elif (channel := Channel.read(body)).schema_id in self._schemas:
                 schema = self._schemas[channel.schema_id]
-                found = BagSource(
-                    topic=channel.topic,
-                    type=schema.name,
-                    definition=schema.data.decode(errors="replace"),
-                    encoding=schema.encoding,
-                    serialization=channel.message_encoding,
-                    qos=channel.metadata.get("offered_qos_profiles", ""),
-                )
+                definition = schema.data.decode(errors="replace"), schema.encoding
+                more = channel.message_encoding, channel.metadata.get("offered_qos_profiles", "")
+                found = BagSource(channel.topic, schema.name, *definition, *more)
                 self.sources.setdefault(channel.id, found)
         return block
 

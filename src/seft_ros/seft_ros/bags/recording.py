@@ -73,9 +73,8 @@ def write_description(
         {"node": node, "parameters": dict(section), **(facts or {}).get(node, {})}
         for node, section in sections.items()
     ]
-    return [
-        json.dumps(part, allow_nan=False) for part in (*nodes, {"environment": dict(environment)})
-    ]
+    parts = *nodes, {"environment": dict(environment)}
+    return [json.dumps(part, allow_nan=False) for part in parts]
 
 
 def read_description(texts: Iterable[str]) -> tuple[Description, int]:
@@ -83,8 +82,7 @@ def read_description(texts: Iterable[str]) -> tuple[Description, int]:
 
     Of a node that published two descriptions the last counts.
     """
-    description = Description()
-    refused = 0
+    description, refused = Description(), 0
     for text in texts:
         try:
             part = json.loads(text)
@@ -193,9 +191,8 @@ class Series:
     def rows(self, which: Any) -> Self:
         """Keep some samples: an index, mask or slice of the first axis."""
         received = None if self.received_ns is None else self.received_ns[which]
-        return replace(
-            self, steps=self.steps[which], values=self.values[which], received_ns=received
-        )
+        steps, values = self.steps[which], self.values[which]
+        return replace(self, steps=steps, values=values, received_ns=received)
 
     def until(self, last_step: int) -> Self:
         """Cut the series after a step."""

@@ -11,6 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import (
     EstimatesCodec,
     Status,
@@ -19,22 +20,7 @@ from seft_msgs_py.wire.messages import (
     encode_string,
 )
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, Outcome, rig_status
-from seft_msgs_py.wire.topics import (
-    DESCRIPTION,
-    DIAGNOSTICS,
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    MEASURED,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    RIG_TOPICS,
-    STEP_TOPICS,
-    VALVE_COMMAND,
-    LoopTopic,
-    RigAxes,
-    Topic,
-)
+from seft_msgs_py.wire.topics import LoopTopic, RigAxes, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.bags.bag_files import Bag
@@ -60,8 +46,9 @@ from seft_ros.reference_force.reference_force_parameters import reference_force_
 UNDECODABLE = "undecodable"
 """Key of a recording's environment: number of messages that can't be decoded and were left out."""
 
-_LOOP = (RIG_STATE, REFERENCE_FORCE, VALVE_COMMAND, GROUND_MOTION)
+_LOOP = (topics.RIG_STATE, topics.REFERENCE_FORCE, topics.VALVE_COMMAND, topics.GROUND_MOTION)
 """Topics that give a test's namespace, the most reliable first."""
+_AHEAD = topics.GROUND_MOTION.name, topics.REFERENCE_FORCE.name  # which are sent ahead
 _MOST_GAPS = 5
 
 
@@ -100,14 +87,8 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
             for rig in rigs
         }
         estimates, reports = EstimatesGatherer(experiment), ReportGatherer(experiment.timebase)
-        bag.gather(
-            loop,
-            {
-                ESTIMATES: estimates.take,
-                DIAGNOSTICS: reports.take_diagnostics,
-                EXPERIMENT_STATE: reports.take_state,
-            },
-        )
+        told = {topics.ESTIMATES: estimates.take, topics.DIAGNOSTICS: reports.take_diagnostics}
+        bag.gather(loop, {**told, topics.EXPERIMENT_STATE: reports.take_state})
         damage, checked, start_ns = file.recovered + file.damage, file.checked, bag.start_ns
     series = {  # given out once, for memory
         topic.name: of_all_rigs([loop.pop(topic.of(rig)).series() for rig in rigs], rigs)
@@ -116,7 +97,7 @@ def read_bag(path: str | Path, *, damaged: bool = False) -> Recording:
     outcome = reports.outcome(len(experiment.rigs))
     trip = trip_of_messages(outcome, reports.ending, experiment.timebase)
     _cut(series, outcome)
-    received = series[RIG_STATE.name].received_ns
+    received = series[topics.RIG_STATE.name].received_ns
     if received is not None and len(received):
         start_ns = int(received[0])
     end: dict[str, Any] = {"missed": None, "overruns": None, "complete": False}
@@ -144,10 +125,10 @@ def _cut(series: dict[str, Series], outcome: Outcome | None) -> None:
     """Cut what is not of the test, and hold equal steps once for all topics."""
     if outcome is not None and outcome.steps > 0:  # the rig never sampled later stamps
         series |= {name: one.until(outcome.steps - 1) for name, one in series.items()}
-    states = series[RIG_STATE.name].steps
+    states = series[topics.RIG_STATE.name].steps
     last_step = int(states[-1]) if len(states) else -1
-    for topic in (GROUND_MOTION, REFERENCE_FORCE):  # which are sent ahead
-        series[topic.name] = series[topic.name].until(last_step)
+    for name in _AHEAD:
+        series[name] = series[name].until(last_step)
     for name, one in series.items():
         steps = states[: len(one.steps)]
         if np.array_equal(steps, one.steps):
@@ -156,11 +137,11 @@ def _cut(series: dict[str, Series], outcome: Outcome | None) -> None:
 
 def _gaps(series: Mapping[str, Series], outcome: Outcome | None) -> Iterator[str]:
     """Say which steps of a test are not in its bag."""
-    states = series[RIG_STATE.name].steps
+    states = series[topics.RIG_STATE.name].steps
     last = max(int(one.steps[-1]) if len(one.steps) else -1 for one in series.values())
     for name, one in series.items():
-        ahead = name in (GROUND_MOTION.name, REFERENCE_FORCE.name)  # which end with the states
-        end = int(states[-1]) if ahead and len(states) else outcome.steps - 1 if outcome else last
+        of_states = name in _AHEAD and len(states)  # they end with the states
+        end = int(states[-1]) if of_states else outcome.steps - 1 if outcome else last
         missing = np.setdiff1d(np.arange(end + 1), one.steps)
         if not len(missing):
             continue
@@ -170,7 +151,7 @@ def _gaps(series: Mapping[str, Series], outcome: Outcome | None) -> Iterator[str
         yield f"{name}: {len(missing)} of {end + 1} steps are missing, {', '.join(texts)}{more}"
 
 
-def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
+def read_messages(path: str | Path, of: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
     """Give the messages of some topics as they were recorded, those that can be read.
 
     Yields
@@ -188,15 +169,15 @@ def read_messages(path: str | Path, topics: Sequence[Topic]) -> Iterator[tuple[T
         If there is no bag, or nothing of it can be read.
     """
     with Bag(path) as file:
-        yield from _TestBag(file).messages(topics)
+        yield from _TestBag(file).messages(of)
 
 
 def _loop_of(experiment: Experiment) -> list[tuple[LoopTopic, tuple[RigAxes, ...]]]:
     """List the topics of the loop, each with the rigs that have their own, or one for all."""
     forces = reference_force_topic(experiment.sections.get("reference_force", {}))
     whole = (RigAxes.whole(experiment.axes),)
-    topics = (GROUND_MOTION, RIG_STATE, MEASURED, forces, VALVE_COMMAND)
-    return [(topic, experiment.rigs if topic in RIG_TOPICS else whole) for topic in topics]
+    loop = (topics.GROUND_MOTION, topics.RIG_STATE, topics.MEASURED, forces, topics.VALVE_COMMAND)
+    return [(topic, experiment.rigs if topic in topics.RIG_TOPICS else whole) for topic in loop]
 
 
 class _TestBag:
@@ -208,7 +189,7 @@ class _TestBag:
         self.undecodable = 0
         self._file = file
         prefixes: set[str] = set()
-        for topic in (DESCRIPTION, *_LOOP):
+        for topic in (topics.DESCRIPTION, *_LOOP):
             ending = "/" + topic.name
             named = (name for name, kind in file.counts if kind == topic.type)
             found = {name.removesuffix(topic.name) for name in named if name.endswith(ending)}
@@ -222,7 +203,7 @@ class _TestBag:
 
     def description(self) -> Description:
         texts = []
-        for *_, raw in self.messages([DESCRIPTION]):
+        for *_, raw in self.messages([topics.DESCRIPTION]):
             try:
                 texts.append(decode_string(raw))
             except WireError:
@@ -236,10 +217,9 @@ class _TestBag:
             return description.experiment()
         except InputError as error:
             fault = f"the bag is damaged: {self._file.fault}; " if self._file.damage else ""
-            raise InputError(
-                f"{self.path}: {fault}the bag holds no test: {error} on {DESCRIPTION.name}; record "
-                "tests with seft run or seft simulate, or that topic, too"
-            ) from None
+            why = f"{fault}the bag holds no test: {error} on {topics.DESCRIPTION.name}"
+            mend = "record tests with seft run or seft simulate, or that topic, too"
+            raise InputError(f"{self.path}: {why}; {mend}") from None
 
     def count(self, topic: Topic) -> int:
         """Count the messages of a topic."""
@@ -254,9 +234,8 @@ class _TestBag:
 
         Those of the loop are many and go block by block, the others one by one.
         """
-        topics, takers = [*loop, *others], list(others.values())
-        firsts = []
-        for block in self._blocks(topics):
+        takers, firsts = list(others.values()), []
+        for block in self._blocks([*loop, *others]):
             firsts.append(int(block.places["time"].min()))
             numbers = block.places["source"]
             for number, gatherer in enumerate(loop.values()):
@@ -268,14 +247,14 @@ class _TestBag:
                     self.undecodable += 1
         self.start_ns = min(firsts, default=0)
 
-    def messages(self, topics: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
+    def messages(self, of: Sequence[Topic]) -> Iterator[tuple[Topic, int, bytes]]:
         """Read the messages of some topics, see `read_messages`."""
-        for block in self._blocks(topics):
+        for block in self._blocks(of):
             for number, received_ns, raw in block.messages():
-                yield topics[number], received_ns, raw
+                yield of[number], received_ns, raw
 
-    def _blocks(self, topics: Sequence[Topic]) -> Iterator[MessageBlock]:
-        numbers = {self._name(topic): number for number, topic in enumerate(topics)}
+    def _blocks(self, of: Sequence[Topic]) -> Iterator[MessageBlock]:
+        numbers = {self._name(topic): number for number, topic in enumerate(of)}
         return self._file.blocks(numbers)
 
     def _name(self, topic: Topic) -> tuple[str, str]:
@@ -328,7 +307,7 @@ def write_recording(
     encoders = _encoders(recording, motion)
     with BagWriter(path) as bag:
         for text in texts:
-            bag.write(DESCRIPTION, text, start_ns)
+            bag.write(topics.DESCRIPTION, text, start_ns)
         time_ns = start_ns
         for some in np.split(events, range(_AT_ONCE, len(events), _AT_ONCE)):
             messages: list[list[tuple[Topic, bytes]]] = [[] for _ in some]
@@ -343,9 +322,9 @@ def write_recording(
                     bag.write(topic, raw, time_ns)
         if recording.complete and recording.missed is not None:
             statuses = _ending(recording, recording.missed)
-            bag.write(DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
+            bag.write(topics.DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
         for text in texts:  # again, for one of the two places may be damaged
-            bag.write(DESCRIPTION, text, time_ns)
+            bag.write(topics.DESCRIPTION, text, time_ns)
 
 
 _AT_ONCE = 4096  # events whose messages are made together
@@ -354,18 +333,18 @@ _Encode = Callable[[Integers, Integers], Iterable[bytes]]
 
 def _encoders(recording: Recording, motion: Sequence[Chunk]) -> list[tuple[int, Topic, _Encode]]:
     """List what makes the messages of each topic, of steps and indices, see `_events`."""
-    timebase, numbers = recording.experiment.timebase, [topic.name for topic in STEP_TOPICS]
+    timebase, numbers = recording.experiment.timebase, [topic.name for topic in topics.STEP_TOPICS]
     encoders: list[tuple[int, Topic, _Encode]] = []
     for topic, rigs in _loop_of(recording.experiment):
         for rig in rigs:
             codec = TrajectoryCodec(topic.of(rig), rig.axes, timebase)
             values = recording.series[topic.name].values[:, :, rig.places]
-            is_given = topic is GROUND_MOTION and motion
+            is_given = topic is topics.GROUND_MOTION and motion
             encode = _of_chunks(codec, motion) if is_given else _of_samples(codec, values)
             encoders.append((numbers.index(topic.name), codec.topic, encode))
     if recording.estimates is not None:
         of_estimates = _of_estimates(recording.estimates, recording.experiment)
-        encoders.append((numbers.index(ESTIMATES.name), ESTIMATES, of_estimates))
+        encoders.append((numbers.index(topics.ESTIMATES.name), topics.ESTIMATES, of_estimates))
     return encoders
 
 
@@ -385,26 +364,19 @@ def _of_estimates(estimates: Estimates, experiment: Experiment) -> _Encode:
     ]
 
 
+_OF_THE_END = ("missed_steps", "wall_s", "trip", "saturation", "round_trips", "simulated")
+
+
 def _ending(recording: Recording, missed: int) -> list[Status]:
     """Give the last statuses of the rigs; totals of all are reported by the first."""
-    sampled = recording.series[RIG_STATE.name].steps
-    outcome = Outcome(
-        TRIPPED if recording.trip else FINISHED,
-        int(sampled[-1]) + 1 if len(sampled) else 0,
-        missed,
-        recording.missed_steps,
-        recording.wall_s,
-        recording.trip,
-        recording.overruns or 0,
-        recording.saturation,
-        recording.round_trips,
-        recording.simulated,
-    )
-    statuses = [
-        replace(rig_status(outcome), name=rig.node(RIG)) for rig in recording.experiment.rigs
-    ]
+    sampled = recording.series[topics.RIG_STATE.name].steps
+    known = {name: getattr(recording, name) for name in _OF_THE_END}
+    steps, overruns = int(sampled[-1]) + 1 if len(sampled) else 0, recording.overruns or 0
+    phase = TRIPPED if recording.trip else FINISHED
+    status = rig_status(Outcome(phase, steps, missed, overruns=overruns, **known))
+    first, *others = (replace(status, name=rig.node(RIG)) for rig in recording.experiment.rigs)
     quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
-    return [*statuses[:1], *(replace(s, values={**s.values, **quiet}) for s in statuses[1:])]
+    return [first, *(replace(other, values=other.values | quiet) for other in others)]
 
 
 def _events(recording: Recording, motion: Sequence[Chunk]) -> tuple[Integers, int]:
@@ -421,11 +393,11 @@ def _events(recording: Recording, motion: Sequence[Chunk]) -> tuple[Integers, in
         Samples left out.
     """
     parts, not_finite = [], 0
-    for which, topic in enumerate(STEP_TOPICS):
-        series = recording.estimates if topic is ESTIMATES else recording.series[topic.name]
-        if series is None or (topic is GROUND_MOTION and motion):
+    for which, topic in enumerate(topics.STEP_TOPICS):
+        series = recording.estimates if topic is topics.ESTIMATES else recording.series[topic.name]
+        if series is None or (topic is topics.GROUND_MOTION and motion):
             continue
-        finite = np.isfinite(series.values).all(axis=(1, 2)) | (topic.name == MEASURED.name)
+        finite = np.isfinite(series.values).all(axis=(1, 2)) | (topic.name == topics.MEASURED.name)
         (kept,) = np.nonzero(finite)
         not_finite += len(series.steps) - len(kept)
         parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))
@@ -433,7 +405,7 @@ def _events(recording: Recording, motion: Sequence[Chunk]) -> tuple[Integers, in
         firsts, steps = [first for first, _ in motion], np.unique(np.concatenate(parts)[:, 0])
         at = np.searchsorted(steps, [firsts[0], *firsts[:-1]])
         sent = np.flatnonzero(at < len(steps))
-        which = STEP_TOPICS.index(GROUND_MOTION)
+        which = topics.STEP_TOPICS.index(topics.GROUND_MOTION)
         parts.append(np.stack([steps[at[sent]], np.full_like(sent, which), sent], axis=1))
     events = np.concatenate(parts)
     return events[np.lexsort((events[:, 1], events[:, 0]))], not_finite

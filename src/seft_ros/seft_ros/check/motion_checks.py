@@ -66,9 +66,8 @@ class RigCheck:
         where, known = "/**: specimen", "/**: actuator.*"
         specimen = Specimen.from_parameters(group(section, "specimen"), axes, where)
         self._specimen = specimen.part(of, where)
-        self._actuator = {
-            each: per_axis(section[f"actuator.{each}"], axes, known)[own] for each in _ACTUATOR
-        }
+        every = {each: per_axis(section[f"actuator.{each}"], axes, known) for each in _ACTUATOR}
+        self._actuator = {each: values[own] for each, values in every.items()}
         self._factor = "per_volt" if mover.hosted else "scale"
         forms = (f"calibration.{{}}_{what}" for what in (self._factor, "lag"))
         self._factors, self._lags = (per_channel(section, axes, form)[:, own] for form in forms)

@@ -203,14 +203,8 @@ def against(
 def bars(panel: figure, edges: style.AnyFloats, counts: style.AnyFloats) -> None:
     """Draw a histogram: counts, shape (B,), between edges, shape (B + 1,)."""
     low = 0.5 if "Log" in type(panel.y_scale).__name__ else 0.0
-    renderer = panel.quad(
-        left=edges[:-1],
-        right=edges[1:],
-        bottom=low,
-        top=counts,
-        color=style.FIRST_COLOUR,
-        line_color="white",
-    )
+    sides = {"left": edges[:-1], "right": edges[1:], "bottom": low, "top": counts}
+    renderer = panel.quad(**sides, color=style.FIRST_COLOUR, line_color="white")
     _hover(panel, renderer, ("from", "@left{0.000}"), ("to", "@right{0.000}"), ("count", "@top{0}"))
 
 
@@ -222,9 +216,8 @@ def band(panel: figure, low: float, high: float, color: str = style.MARK) -> Non
 
 def mark(panel: figure, x: float) -> None:
     """Draw a vertical dashed line."""
-    panel.add_layout(
-        Span(location=x, dimension="height", line_color=style.MARK, line_dash="dashed")
-    )
+    span = Span(location=x, dimension="height", line_color=style.MARK, line_dash="dashed")
+    panel.add_layout(span)
 
 
 def level(panel: figure, y: float) -> None:

@@ -3,31 +3,27 @@
 Pages take their colours from here, too: matplotlib is imported where it draws.
 """
 
+import csv
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from seft_msgs_py.errors import InputError
-from seft_msgs_py.files import check_regular
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-import csv
-from collections.abc import Iterator
-from typing import Literal
-
 from rich import table
 from rich.console import Group
 from rich.text import Text
 from seft_msgs_py.arrays import Floats
+from seft_msgs_py.errors import InputError
+from seft_msgs_py.files import check_regular
 from seft_msgs_py.printing import escaped
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 AnyFloats = npt.NDArray[np.floating[Any]]
 
@@ -70,19 +66,10 @@ def finish(figure: "Figure", labelled: "Iterable[Axes]", title: str) -> None:
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     figure.align_ylabels()
-    entries = {
-        label: handle
-        for panel in labelled
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    legend = figure.legend(
-        list(entries.values()),
-        list(entries),
-        loc="lower center",
-        ncols=4,
-        frameon=False,
-        borderaxespad=0.2,
-    )
+    shown = (zip(*panel.get_legend_handles_labels(), strict=True) for panel in labelled)
+    entries = {label: handle for panel in shown for handle, label in panel}
+    look: dict[str, Any] = {"loc": "lower center", "frameon": False, "borderaxespad": 0.2}
+    legend = figure.legend(list(entries.values()), list(entries), ncols=4, **look)
     height = legend.get_window_extent().height / figure.bbox.height
     layout = figure.get_layout_engine()
     assert isinstance(layout, ConstrainedLayoutEngine)
@@ -307,10 +294,8 @@ class TextTable:
     def __rich__(self) -> Group | table.Table:
         """Draw it for the terminal: what is too wide is folded, nothing is cut off."""
         if not self.headings:
-            rows = (row for section in self.sections() for row in section)
-            return Group(
-                *(Text.assemble(name.__rich__(), ": ", text.__rich__()) for name, text in rows)
-            )
+            rows = (map(Cell.__rich__, row) for section in self.sections() for row in section)
+            return Group(*(Text.assemble(name, ": ", text) for name, text in rows))
         drawn = table.Table()
         for column, heading in enumerate(self.headings):
             right = self.numbers and column > 0

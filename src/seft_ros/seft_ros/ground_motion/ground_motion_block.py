@@ -133,8 +133,7 @@ class GroundMotion:
     def __init__(self, section: Section, axes: Sequence[str], timebase: Timebase) -> None:
         influence = per_axis(section["influence"], axes, "ground_motion: influence")
         given_unit(section["unit"])
-        files = files_of(section["file"], axes)
-        if files:
+        if files := files_of(section["file"], axes):
             record = _recorded(section, axes, files)
         else:
             record = _synthetic(group(section, "synthetic"), len(axes))
@@ -147,9 +146,9 @@ class GroundMotion:
             scale = _peak_scale(section, axes, samples)
             samples *= scale
         if not np.isfinite(samples).all():
+            mend = "check its values, influence and peak_force"
             raise InputError(
-                f"ground_motion: {record.source}: accelerations are not finite; check its "
-                "values, influence and peak_force"
+                f"ground_motion: {record.source}: accelerations are not finite; {mend}"
             )
         check_size(section["lead"], timebase.rate, f"lead {section['lead']:g} s")
         lead_steps = max(1, round(section["lead"] * timebase.rate))
@@ -259,10 +258,9 @@ def _side_by_side(found: Sequence[RecordedMotion], axes: Sequence[str]) -> Recor
                 f"ground_motion: {axis}: {one.source} has a sampling period of {one.dt:g} s, but "
                 f"{axes[0]}: {first.source} of {first.dt:g} s; resample one of them"
             )
-    length = max(len(one.accelerations) for one in found)
-    joined = np.hstack(
-        [np.pad(a, ((0, length - len(a)), (0, 0))) for a in (one.accelerations for one in found)]
-    )
+    motions = [one.accelerations for one in found]
+    length = max(map(len, motions))
+    joined = np.hstack([np.pad(a, ((0, length - len(a)), (0, 0))) for a in motions])
     channels = [channel for one in found for channel in one.channels]
     source = ", ".join(one.source for one in found)
     return RecordedMotion(joined, first.dt, source, first.unit, channels)

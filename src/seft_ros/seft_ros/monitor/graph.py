@@ -22,12 +22,7 @@ from std_srvs.srv import Trigger
 
 from seft_ros.monitor.intake import Messages
 
-_ANSWER_TIMEOUT_S = {
-    "start": 1.0,
-    "stop": 3.0,
-    "estop": 3.0,
-    "reset": 1.0,
-}  # s, service -> for an answer
+_ANSWER_TIMEOUT_S = {"start": 1.0, "stop": 3.0, "estop": 3.0, "reset": 1.0}  # s, for an answer
 _READ_DEPTH = 4096
 _MAX_AT_ONCE = 8192
 _TOPICS = (topics.GROUND_MOTION, topics.RIG_STATE, topics.REFERENCE_FORCE)
@@ -79,10 +74,9 @@ class Graph:
         return take_all(self._subscriptions[topic.name], _MAX_AT_ONCE)
 
     def _subscribe(self, topic: topics.Topic) -> None:
-        of_each_step = isinstance(topic, topics.LoopTopic) and not topic.latched
-        self._subscriptions[topic.name] = raw_subscription(
-            self._node, topic, _READ_DEPTH, not of_each_step
-        )
+        resent = topic.latched or not isinstance(topic, topics.LoopTopic)
+        made = raw_subscription(self._node, topic, _READ_DEPTH, resent)
+        self._subscriptions[topic.name] = made
 
     async def call(self, service: str) -> tuple[bool, str]:
         """Call a service of the supervisor; return whether it was done, and its answer."""
@@ -90,14 +84,10 @@ class Graph:
         if not client.service_is_ready():
             return False, f"{service} was not delivered: there is no supervisor on the graph"
         # on a thread of its own: it waits until the executor's thread has the answer
-        response = await asyncio.to_thread(
-            client.call, Trigger.Request(), _ANSWER_TIMEOUT_S[service]
-        )
+        patience = _ANSWER_TIMEOUT_S[service]
+        response = await asyncio.to_thread(client.call, Trigger.Request(), patience)
         if response is None:
-            return (
-                False,
-                f"the supervisor did not answer {service} within {_ANSWER_TIMEOUT_S[service]:g} s",
-            )
+            return False, f"the supervisor did not answer {service} within {patience:g} s"
         return response.success, response.message
 
     def close(self) -> None:

@@ -52,10 +52,7 @@ class Signals:
     def layout(self) -> dict[str, Any]:
         """Give the first column of each signal, for the page."""
         parts = {"measured": self.measured, "reference": self.reference, "error": self.error}
-        starts = {
-            part: {name: columns.start for name, columns in own.items()}
-            for part, own in parts.items()
-        }
+        starts = {part: {name: own[name].start for name in own} for part, own in parts.items()}
         return {"axes": list(self.axes), **starts, "answer": self.answer.start}
 
 

@@ -12,12 +12,7 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, RIG_STATE, 
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch
 from seft_plant_sim.whole_structure import RunningResponse, whole_structure
 
-from seft_ros.analysis.equivalent_motion import (
-    DAMPING,
-    EquivalentMotion,
-    assumed_structure,
-    spectrum_frequencies,
-)
+from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.summary import COMPARED
 from seft_ros.ground_motion.response_spectrum import RunningSpectrum
 from seft_ros.monitor.history import History, HistoryBatch, RigBatches, Signals, Stretch
@@ -95,11 +90,12 @@ class LiveMotion:
 
     def __init__(self, assumed: Experiment) -> None:
         dt, whole = assumed.timebase.dt, whole_structure(assumed)
-        self._equivalent = EquivalentMotion(whole, dt)
+        self._equivalent = equivalent_motion.EquivalentMotion(whole, dt)
         self._responses = RunningResponse(assumed), RunningResponse(assumed)
         self._natural, _ = whole.structure.modes()
-        self._frequency = spectrum_frequencies((self._natural[0], self._natural[-1]), dt)
-        self._spectra = RunningSpectrum(1 / self._frequency, dt, DAMPING)
+        ends = self._natural[0], self._natural[-1]
+        self._frequency = equivalent_motion.spectrum_frequencies(ends, dt)
+        self._spectra = RunningSpectrum(1 / self._frequency, dt, equivalent_motion.DAMPING)
         self._squares = np.zeros(2)  # of the response, and of the difference
 
     def advance(self, asked: Floats, states: Floats) -> None:
@@ -116,10 +112,8 @@ class LiveMotion:
         missing = ~np.isfinite(states).all(axis=(1, 2))
         tested = self._equivalent.advance(np.where(missing[:, None, None], 0.0, states))
         tested[missing] = asked[missing]
-        wanted, found = (
-            response.advance(motion)[0]
-            for response, motion in zip(self._responses, (asked, tested), strict=True)
-        )
+        of_asked, of_tested = self._responses
+        wanted, found = of_asked.advance(asked)[0], of_tested.advance(tested)[0]
         with np.errstate(over="ignore", invalid="ignore"):  # of an unstable test
             self._squares += [np.sum(wanted**2), np.sum((found - wanted) ** 2)]
             self._spectra.advance(np.hstack([asked, tested]))
@@ -179,11 +173,9 @@ class Intake:
     """
 
     def __init__(self, axes: tuple[str, ...], timebase: Timebase, number: int = 0) -> None:
-        self.timebase = timebase
-        self.signals = Signals(axes)
+        self.timebase, self.signals = timebase, Signals(axes)
         self.history = History(self.signals.count)
-        self.number, self.refused = number, 0
-        self.reference_note = ""
+        self.number, self.refused, self.reference_note = number, 0, ""
         self._cleared = False  # whether no sample of the counted test has arrived
         self._new: list[Stretch] = []
         self._sections: dict[str, dict[str, Any]] = {}
@@ -219,10 +211,9 @@ class Intake:
         for raw, _ in messages:
             try:
                 first, values = self._motion.decode(raw)
+                self._reference.motion(first, values[:, 0, :])
             except InputError:
                 self.refused += 1
-            else:
-                self._reference.motion(first, values[:, 0, :])
 
     def samples(self, states: Sequence[Messages], forces: Messages) -> list[Stretch]:
         """Add states of each rig and reference forces; give the new part of the history."""
@@ -243,8 +234,7 @@ class Intake:
         signals, until = self.signals, self.history.head - held_back
         for name, error in signals.error.items():
             self.history.subtract(until, error, signals.measured[name], signals.reference[name])
-        stretch = self.history.release(until)
-        if stretch is not None:
+        if stretch := self.history.release(until):
             self._new.append(stretch)
 
     def _batches_of_states(self, states: Sequence[Messages]) -> Iterator[HistoryBatch]:
@@ -304,20 +294,20 @@ class Intake:
     def _response(self) -> RunningResponse | None:
         """Make the models of the whole structure from the nodes' descriptions."""
         self.own_motion, self._next_shown, self._live_motion = {}, 0, None
-        if "reference_force" not in self._sections:
-            reason = "reference_force has not described itself"
-        else:
-            try:
+        reason = "reference_force has not described itself"
+        try:
+            if "reference_force" in self._sections:
                 experiment = Experiment(self._sections)
-                response, assumed = RunningResponse(experiment), assumed_structure(experiment)
+                response = RunningResponse(experiment)
+                assumed = equivalent_motion.assumed_structure(experiment)
                 self._live_motion = None if assumed is None else LiveMotion(assumed)
                 note = "The specimen yields: its response is near the exact one."
                 self.reference_note = "" if response.exact else note
                 return response
-            except InputError as error:
-                reason = str(error)
-            except (KeyError, TypeError, ValueError):  # a node of another version
-                reason = "the nodes' parameters do not describe it"
+        except InputError as error:
+            reason = str(error)
+        except (KeyError, TypeError, ValueError):  # a node of another version
+            reason = "the nodes' parameters do not describe it"
         self.reference_note = f"No response of the whole structure: {reason}."
         return None
 
@@ -326,9 +316,9 @@ class Intake:
         if new is None:
             return
         first, motion, displacement, acceleration = new
-        steps = np.arange(first, first + len(motion))
-        for name, values in (("displacement", displacement), ("acceleration", acceleration)):
-            self.history.write(steps, self.signals.reference[name], values)
+        steps, columns = np.arange(first, first + len(motion)), self.signals.reference
+        self.history.write(steps, columns["displacement"], displacement)
+        self.history.write(steps, columns["acceleration"], acceleration)
         if self._live_motion is None:
             return
         slots = steps % len(self._steps)

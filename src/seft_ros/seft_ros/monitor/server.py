@@ -112,15 +112,13 @@ class Watch:
         """Decode the messages of a topic, and count those that can't be decoded."""
         for raw, _ in self._graph.take(topic):
             try:
-                content = decode(raw)
+                yield decode(raw)
             except WireError:
                 self._refused += 1
-            else:
-                yield content
 
     def _follow_description(self) -> None:
         """Make a new `Intake` if rate or axes have changed."""
-        sections = self.session.sections
+        sections, intake = self.session.sections, self.intake
         teller = next((node for node in METADATA_NODES if node in sections), None)
         if teller is None:
             return
@@ -130,7 +128,6 @@ class Watch:
         except (InputError, KeyError, TypeError, ValueError):
             self._refused += 1
             return
-        intake = self.intake
         if intake is None or intake.timebase != timebase or intake.signals.axes != axes:
             intake = self.intake = Intake(axes, timebase, intake.number if intake else 0)
         intake.describe(dict(sections))
@@ -140,12 +137,8 @@ class Watch:
         session, intake = self.session, self.intake
         test: dict[str, Any] = {"domain": self._graph.domain}
         if intake is not None:
-            test |= {
-                "test": intake.number,
-                "dt": intake.timebase.dt,
-                "signals": intake.signals.layout(),
-                "reference_note": intake.reference_note,
-            }
+            test |= {"test": intake.number, "dt": intake.timebase.dt}
+            test |= {"signals": intake.signals.layout(), "reference_note": intake.reference_note}
         refused = self._refused + (intake.refused if intake else 0)
         messages: dict[str, dict[str, Any]] = {
             "test": test,

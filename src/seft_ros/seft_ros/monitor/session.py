@@ -64,11 +64,10 @@ class Session:
         self._now = self._awake.time()
         heard = self._experiment is not None
         silent = heard and self._now - self._heard_at > SILENCE_PERIOD
-        if silent and not self._silent:
-            if self._state in ENDED:
-                self._note("left", "the nodes of the test have shut down", 4)
-            else:
-                self._note("gone", "the supervisor is silent", 3)
+        if silent and not self._silent and self._state in ENDED:
+            self._note("left", "the nodes of the test have shut down", 4)
+        elif silent and not self._silent:
+            self._note("gone", "the supervisor is silent", 3)
         self._silent = silent
 
     def on_state(self, test: ExperimentState) -> bool:
@@ -183,9 +182,8 @@ class Session:
             del self.round_trips[1::2]  # every second one: memory is bounded
 
     def _note(self, what: str, detail: str, level: int) -> None:
-        self.events.append(
-            {"at": round(self._wall(), 3), "what": what, "detail": detail, "level": level}
-        )
+        at = round(self._wall(), 3)
+        self.events.append({"at": at, "what": what, "detail": detail, "level": level})
 
 
 def _order(node: str) -> tuple[int, str]:

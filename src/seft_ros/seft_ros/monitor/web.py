@@ -135,8 +135,7 @@ class Service(Guarded):
         except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
             reason = "the request does not say in which state and when it was made"
             raise HTTPError(400, reason=reason) from None
-        why: str = self.settings["lateness"](state, at_ms)
-        return why
+        return str(self.settings["lateness"](state, at_ms))
 
 
 class Live(Guarded, WebSocketHandler):
@@ -220,17 +219,12 @@ def _figure(name: str, label: str, lines: tuple[str, ...]) -> figure:
 
     Each line has a data source with its name, with columns x in s and y in the unit of the axis.
     """
-    spectrum = name == "spectrum"
-    panel = plot(
-        "frequency / Hz" if spectrum else "time / s",
-        label,
-        x_range=Range1d(1.0, 50.0) if spectrum else Range1d(0.0, 20.0),
-        height=HEIGHT,
-        log_x=spectrum,
-        log_y=name == "timing",
-    )
-    panel.y_range = Range1d(0.1, 10.0) if name == "timing" else Range1d(-1.0, 1.0)
-    if name == "timing":
+    is_spectrum, is_timing = name == "spectrum", name == "timing"
+    x_label, ends = ("frequency / Hz", (1, 50)) if is_spectrum else ("time / s", (0, 20))
+    scales: dict[str, Any] = {"log_x": is_spectrum, "log_y": is_timing, "height": HEIGHT}
+    panel = plot(x_label, label, x_range=Range1d(*map(float, ends)), **scales)
+    panel.y_range = Range1d(0.1, 10.0) if is_timing else Range1d(-1.0, 1.0)
+    if is_timing:
         panel.yaxis.formatter = NumeralTickFormatter(format="0.[000]")
     panel.background_fill_alpha = panel.border_fill_alpha = 0.0  # the page's own, dark or light
     panel.min_border_left = LEFT_MARGIN

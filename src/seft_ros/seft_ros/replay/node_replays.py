@@ -14,17 +14,10 @@ from seft_msgs_py.config.experiment import Experiment, Override
 from seft_msgs_py.config.facts import EVERY_NODE, place_of
 from seft_msgs_py.config.parameter_table import Section, nearest
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.outcome import State
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    EXPERIMENT_STATE,
-    GROUND_MOTION,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    VALVE_COMMAND,
-    LoopTopic,
-)
+from seft_msgs_py.wire.topics import LoopTopic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.rig import Rig
@@ -83,30 +76,26 @@ def read_recorded(path: str | Path) -> Recorded:
     experiment = recording.experiment
     if len(experiment.rigs) > 1:
         raise InputError(f"{path}: a test of several rigs; only tests of one can be replayed")
-    states = recording.series[RIG_STATE.name].steps
+    states = recording.series[topics.RIG_STATE.name].steps
     if not len(states):
         raise InputError(f"{path}: the bag has no rig/state; record that topic, too")
     if states[0] != 0:
-        raise InputError(
-            f"{path}: the bag begins at step {states[0]}: it lacks the steps before, which the "
-            "nodes depend on; start recording before the test"
-        )
+        mend = "the nodes depend on the steps before; start recording before the test"
+        raise InputError(f"{path}: the bag begins at step {states[0]}: {mend}")
     forces = reference_force_topic(experiment.sections.get("reference_force", {}))
     motion_codec, force_codec = (
         TrajectoryCodec(topic, experiment.axes, experiment.timebase)
-        for topic in (GROUND_MOTION, forces)
+        for topic in (topics.GROUND_MOTION, forces)
     )
-    chunks: list[tuple[int, Floats]] = []
-    points: dict[int, Floats] = {}
-    tests, state = 0, ""
-    is_ramped = False
-    topics = [EXPERIMENT_STATE, GROUND_MOTION, REFERENCE_FORCE]
-    for topic, _, raw in read_messages(path, topics):
+    chunks, points = list[tuple[int, Floats]](), dict[int, Floats]()
+    tests, state, is_ramped = 0, "", False
+    read = [topics.EXPERIMENT_STATE, topics.GROUND_MOTION, topics.REFERENCE_FORCE]
+    for topic, _, raw in read_messages(path, read):
         with suppress(WireError, ValueError):  # the nodes skip such messages, too
-            if topic is GROUND_MOTION:
+            if topic is topics.GROUND_MOTION:
                 first, values = motion_codec.decode(raw)
                 chunks.append((first, values[:, 0]))
-            elif topic is REFERENCE_FORCE:
+            elif topic is topics.REFERENCE_FORCE:
                 points.setdefault(*force_codec.decode(raw))
             else:
                 last, state = state, decode_state(raw).state
@@ -169,19 +158,14 @@ class Replay(ABC):
         InputError
             If a state that was answered is not in the bag.
         """
-        lost = np.setdiff1d(answered, states)
-        if len(lost):
-            raise InputError(
-                f"the bag lacks rig/state of step {lost[0]}, which {self.node} has answered: "
-                "what the node remembers of it can't be replayed"
-            )
+        if len(lost := np.setdiff1d(answered, states)):
+            why = f"which {self.node} has answered: what it remembers of it can't be replayed"
+            raise InputError(f"the bag lacks rig/state of step {lost[0]}, {why}")
         unanswered = np.setdiff1d(states, answered)
         self.note_steps("not answered when recorded, and left out", unanswered)
-        self.note_steps(
-            "neither rig/state nor its answer is in the bag, and whether the node had them is not "
-            "known",
-            np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states),
-        )
+        unknown = np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states)
+        what = "neither rig/state nor its answer is in the bag, and whether the node had them"
+        self.note_steps(f"{what} is not known", unknown)
 
 
 def section_of(replay: Replay, overrides: Sequence[Override]) -> Section:
@@ -214,6 +198,7 @@ def replay_verdict(
         and ``node``, ``steps`` (of the recorded answers), ``notes``.
     """
     recording, topic = recorded.recording, replay.answer.name
+    shown = topic, topics.ESTIMATES.name
     # answers beyond the recorded steps have no counterpart
     given = answers.of_steps(replay.expected.steps)
     theirs = recording.estimates if replay.node == "reference_force" else None
@@ -224,15 +209,20 @@ def replay_verdict(
         for series, some in ((replay.expected, theirs), (given, mine))
     )
     found = compare_recordings(one, other)
-    topics = {name: own for name, own in found["topics"].items() if name in (topic, ESTIMATES.name)}
+    kept = {name: found["topics"][name] for name in found["topics"] if name in shown}
     own = {"node": replay.node, "steps": len(replay.expected.steps), "notes": list(replay.notes)}
-    return found | own | {"topics": topics}
+    return found | own | {"topics": kept}
 
 
 def replay_texts(result: dict[str, Any]) -> Texts:
     """Show how the answers of a node differ from the recorded ones."""
     title = f"{result['node']}: {result['steps']} answers, a as recorded, b replayed"
     return [title, *comparison_texts(result)]
+
+
+def _lacks(topic: str, step: int, node: str) -> InputError:
+    mend = "record that topic from the start on"
+    return InputError(f"the bag lacks {topic} of step {step}, which {node} has answered; {mend}")
 
 
 BY_TIME = "force_controller: no "
@@ -255,10 +245,8 @@ class ReferenceForceReplay(Replay):
         self.expected = recorded.series(self.answer)
         self._ramp_step = recorded.recording.ramp_step
         if recorded.ramp_unknown:
-            self.notes.append(
-                "reference_force does not report the step at which the supervisor ramped it down: "
-                "it is replayed without that ramp"
-            )
+            what = "the step at which the supervisor ramped it down"
+            self.notes.append(f"reference_force does not report {what}: replayed without that ramp")
         self._motion, moved = MotionBuffer(len(self.experiment.axes)), 0
         parts: list[Floats] = []  # of the motion, without duplicates
         for first, values in recorded.chunks:
@@ -269,7 +257,7 @@ class ReferenceForceReplay(Replay):
             self._motion.add(0, np.concatenate(parts))
         answered = np.array(list(recorded.points), np.int64)
         if not section["loop_delay"]:  # each command follows a reference force, recorded or not
-            unrecorded = np.setdiff1d(recorded.series(VALVE_COMMAND).steps, answered)
+            unrecorded = np.setdiff1d(recorded.series(topics.VALVE_COMMAND).steps, answered)
             if recorded.recording.trip is None:
                 self.note_steps("the bag lacks the recorded answer", unrecorded)
                 answered = np.union1d(answered, unrecorded)
@@ -278,10 +266,7 @@ class ReferenceForceReplay(Replay):
         self._states = states.of_steps(answered)
         unmoved = answered[answered >= moved]
         if len(unmoved) and not (self._ramp_step is not None and unmoved[0] >= self._ramp_step):
-            raise InputError(
-                f"the bag lacks ground_motion of step {unmoved[0]}, which reference_force has "
-                "answered; record that topic from the start on"
-            )
+            raise _lacks("ground_motion", unmoved[0], self.node)
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute forces and estimates."""
@@ -318,7 +303,7 @@ class ForceControllerReplay(Replay):
     """
 
     node = "force_controller"
-    answer: LoopTopic = VALVE_COMMAND
+    answer: LoopTopic = topics.VALVE_COMMAND
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(recorded)
@@ -328,35 +313,29 @@ class ForceControllerReplay(Replay):
                 "force_controller answered over a link (loop_delay): which force was the newest "
                 "when a state came is not in a bag; replay reference_force or rig"
             )
-        self.expected = recorded.series(VALVE_COMMAND)
+        self.expected = recorded.series(topics.VALVE_COMMAND)
         if trip is not None and BY_TIME in trip.reason:
             self.expected = self.expected.until(trip.step)
             self.notes.append(f"replayed until step {trip.step}, where a timeout tripped it")
-        states, self._points = recorded.series(RIG_STATE), recorded.points
+        states, self._points = recorded.series(topics.RIG_STATE), recorded.points
         looks_ahead = section["method"] in FOLLOW_TARGETS
         if looks_ahead and all(len(points) == 1 for points in self._points.values()):
-            raise InputError(
-                "force_controller needs the future motion of the target, which is not in a bag of "
-                "seft simulate; replay reference_force or rig"
-            )
+            lacks = "the future motion of the target, which is not in a bag of seft simulate"
+            raise InputError(f"force_controller needs {lacks}; replay reference_force or rig")
         commanded = self.expected.steps
         sent = states.until(int(commanded[-1]) if len(commanded) else -1)
         self.note_unanswered(sent.steps, commanded)
         self._states = dict(states.samples())
         forceless = np.setdiff1d(commanded, list(self._points))
         if len(forceless) and trip is None:  # a tripped one waits for no force
-            raise InputError(
-                f"the bag lacks reference_force of step {forceless[0]}, which force_controller "
-                "has answered; record that topic from the start on"
-            )
+            raise _lacks("reference_force", forceless[0], self.node)
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the commands."""
         axes, timebase = self.experiment.axes, self.experiment.timebase
         block = force_control(dict(section), axes, timebase)
         interlock = Interlock.from_parameters(block, dict(section), axes, timebase)
-        commands: dict[int, Floats] = {}
-        none = np.zeros((1, 1, len(axes)))
+        commands, none = dict[int, Floats](), np.zeros((1, 1, len(axes)))
         for step in self.expected.steps.tolist():
             if step not in self._points and not interlock.reason:
                 break  # the node would wait for it
@@ -370,17 +349,16 @@ class RigReplay(Replay):
     """What the rig applied, as it has reported with each sample."""
 
     node = "rig"
-    answer: LoopTopic = RIG_STATE
+    answer: LoopTopic = topics.RIG_STATE
 
     def __init__(self, recorded: Recorded) -> None:
         super().__init__(recorded)
-        states = recorded.series(RIG_STATE)
+        states = recorded.series(topics.RIG_STATE)
         whole = int((states.steps == np.arange(len(states.steps))).sum())
         self.expected = states.until(whole - 1)
         if whole < len(states.steps):
-            self.notes.append(
-                f"replayed until step {whole - 1}: rig/state of the next is not in the bag"
-            )
+            why = "rig/state of the next is not in the bag"
+            self.notes.append(f"replayed until step {whole - 1}: {why}")
 
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the states of the simulated rig."""

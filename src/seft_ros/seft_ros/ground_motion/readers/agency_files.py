@@ -227,12 +227,10 @@ def _pairs(path: Path, lines: list[str], index: int) -> Columns:
     table[:, 1] /= 10
     unit = Statement("g", f"line {index + 1}, as g/10")
     rows = [texts[at : at + 2] for at in range(0, 2 * count, 2)]
-    timed = Columns(
-        path, table, places[::2], "CSMIP", ("time", "acceleration"), own_unit=unit, texts=rows
-    )
-    found = timed.dt()
+    names, places = ("time", "acceleration"), places[::2]
+    found = Columns(path, table, places, "CSMIP", names, own_unit=unit, texts=rows).dt()
     dt = None if found is None else Statement(found.value, "the times")
-    return Columns(path, table[:, 1:], places[::2], "CSMIP", own_dt=dt, own_unit=unit)
+    return Columns(path, table[:, 1:], places, "CSMIP", own_dt=dt, own_unit=unit)
 
 
 _GEONET_PERIOD = re.compile(
@@ -272,17 +270,16 @@ def read_geonet(path: Path, lines: list[str]) -> Columns | None:
             continue
         start = index + _AFTER_PERIOD
         header = lines[max(index - _BEFORE_PERIOD, 0) : start]
-        points = next(filter(None, map(_GEONET_POINTS.match, header)), None)
-        peak = next(filter(None, map(_GEONET_PEAK.match, header)), None)
-        component = next(filter(None, map(_GEONET_COMPONENT.match, header)), None)
+        points, peak, component = (
+            next(filter(None, map(form.match, header)), None)
+            for form in (_GEONET_POINTS, _GEONET_PEAK, _GEONET_COMPONENT)
+        )
         if points is None or peak is None:
-            raise InputError(
-                f"{path}: line {index + 1}: the header around it does not state the number of "
-                "points and the acceleration's peak with its unit; fetch the record again"
-            )
+            lacks = "the number of points and the acceleration's peak with its unit"
+            why = f"the header around it does not state {lacks}; fetch the record again"
+            raise InputError(f"{path}: line {index + 1}: {why}")
         count = int(points.group(1))
         rows = -(-count // _IN_A_ROW)
-        last = start + rows
         there = sum(1 for _ in takewhile(_is_geonet_row, lines[start:]))
         if there % max(rows, 1):
             wanted = f"{count} points are {rows} rows for each quantity; fetch the record again"
@@ -291,10 +288,8 @@ def read_geonet(path: Path, lines: list[str]) -> Columns | None:
         size, place = float(period.group(1) or 1), f"line {index + 1}"
         dt = Statement(float(period.group(3)), place)
         unit = Statement(known_unit(path, index + 1, period.group(2) or peak.group(1)), place)
-        values = lines[:last]
-        found.append(
-            read_channel(path, values, start, count, "GeoNet", dt, unit, _GEONET_WIDTH, index, size)
-        )
+        known = count, "GeoNet", dt, unit, _GEONET_WIDTH, index, size
+        found.append(read_channel(path, lines[: start + rows], start, *known))
         names.append(component.group(1) if component else f"component {len(found)}")
     return as_channels(found, names) if found else None
 

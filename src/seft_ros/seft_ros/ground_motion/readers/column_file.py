@@ -2,7 +2,6 @@
 
 import csv
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -72,24 +71,14 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
     if _is_in_rows(path, data, header, rows):
         return _one_motion(path, data, header)
     if any(map(_OF_SPECTRUM.match, names)):
-        raise InputError(
-            f"{path}: its columns are {', '.join(names)}{place}: a spectrum, no time history; give "
-            "the record of the acceleration"
-        )
+        what = "a spectrum, no time history; give the record of the acceleration"
+        raise InputError(f"{path}: its columns are {', '.join(names)}{place}: {what}")
     values, says_so = _table(path, data), any(map(says_acceleration, names))
     _check_pairs(path, values)
-    return Columns(
-        path,
-        values,
-        [number for number, _ in data],
-        IN_COLUMNS,
-        names,
-        place,
-        header.dt,
-        header.unit,
-        [fields for _, fields in data],
-        sure=separator is not None and (says_so or bool(names and header.unit)),
-    )
+    places, texts = [number for number, _ in data], [fields for _, fields in data]
+    known = names, place, header.dt, header.unit, texts
+    sure = separator is not None and (says_so or bool(names and header.unit))
+    return Columns(path, values, places, IN_COLUMNS, *known, sure=sure)
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
@@ -283,13 +272,8 @@ def _names(line: str, separator: str | None, count: int) -> tuple[str, ...]:
     for mark in COMMENT_MARKS:
         text = text.removeprefix(mark)
     text = text.strip()
-    ways: Sequence[list[str]] = (
-        *((_fields(text, separator),) if separator else ()),
-        re.split(r"\t+|\s{2,}", text),
-        re.split(r"\s+(?![\[(])", text),
-        *(_fields(text, mark) for mark in (None, ",", ";")),
-    )
-    for fields in ways:
-        if len(fields) == count:
-            return tuple(field.strip().strip("\"'").strip() for field in fields)
-    return ()
+    ways = [_fields(text, separator)] if separator else []
+    ways += [re.split(r"\t+|\s{2,}", text), re.split(r"\s+(?![\[(])", text)]
+    ways += [_fields(text, mark) for mark in (None, ",", ";")]
+    named = next((fields for fields in ways if len(fields) == count), [])
+    return tuple(field.strip().strip("\"'").strip() for field in named)

@@ -58,8 +58,7 @@ def to_lines(path: Path, data: bytes) -> list[str]:
         text = data.decode(encoding)
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    place = text.find("\0")
-    if place >= 0:
+    if (place := text.find("\0")) >= 0:
         raise InputError(
             f"{path}: line {text.count('\n', 0, place) + 1}: byte 0x00 is no text; save the record "
             "as plain text, or fetch it again"
@@ -116,8 +115,7 @@ def pieces(line: str, width: int = 0) -> list[str]:
     """Cut a line of numbers: each has ``width`` characters, or blanks or signs separate them."""
     if width:
         text = line.rstrip()
-        cut = (text[at : at + width].strip() for at in range(0, len(text), width))
-        return list(cut)
+        return [text[at : at + width].strip() for at in range(0, len(text), width)]
     return [piece for token in line.split() for piece in _RUN_TOGETHER.split(token)]
 
 

@@ -173,13 +173,7 @@ def _columns(
     delta: float,
     unit: Statement[str] | None,
 ) -> Columns:
-    return Columns(
-        path,
-        np.stack(values, axis=1),
-        list(range(1, len(values[0]) + 1)),
-        layout,
-        tuple(names) if any(names) else (),
-        own_dt=Statement(float(f"{delta:.7g}"), "its header"),
-        own_unit=unit,
-        quantities=False,
-    )
+    table, lines = np.stack(values, axis=1), list(range(1, len(values[0]) + 1))
+    called = tuple(names) if any(names) else ()
+    dt = Statement(float(f"{delta:.7g}"), "its header")
+    return Columns(path, table, lines, layout, called, own_dt=dt, own_unit=unit, quantities=False)

@@ -62,9 +62,8 @@ def is_other_unit(text: str) -> bool:
         return False
     word = _plain(text)
     length, power = _parts(word)
-    multiple = re.search(r"[\d%*/]|milli|micro", word) and not _OF_MULTIPLES.isdisjoint(
-        _LETTERS.findall(word)
-    )
+    of_multiples = not _OF_MULTIPLES.isdisjoint(_LETTERS.findall(word))
+    multiple = of_multiples and re.search(r"[\d%*/]|milli|micro", word)
     of_length = word.partition("/")[0] in _LENGTHS or (length in _LENGTHS and power > 0)
     return word in _OTHER or of_length or bool(multiple)
 
@@ -83,19 +82,12 @@ def _plain(text: str) -> str:
 def _parts(word: str) -> tuple[str, int]:
     """Length and power of the time below it: cm/s/s, cm/s2, cm/(s2), cm s-2, cms-2 -> cm, 2."""
     word = re.sub(r"[() ]", "", word) if "/" in word else word
-    over = re.fullmatch(r"([a-z]+)/s(?:/s|/?2|\*s)", word)
-    if over:
-        return over.group(1), 2
-    over = re.fullmatch(r"([a-z]+)/s", word)
-    if over:
-        return over.group(1), 1
-    over = re.fullmatch(r"([a-z]+?)[ .*]?s-([12])", word)
-    if over:
-        return over.group(1), int(over.group(2))
+    if over := re.fullmatch(r"([a-z]+)/s(/s|/?2|\*s)?", word):
+        return over[1], 2 if over[2] else 1
+    if over := re.fullmatch(r"([a-z]+?)[ .*]?s-([12])", word):
+        return over[1], int(over[2])
     over = re.fullmatch(r"([a-z]+?)(?:[_p]s|(?=s2))(?:s?(2))?", word)  # m_s2, mps2, cms2; m_s
-    if over and over.group(1) in _LENGTHS:
-        return over.group(1), int(over.group(2) or 1)
-    return word, 0
+    return (over[1], int(over[2] or 1)) if over and over[1] in _LENGTHS else (word, 0)
 
 
 SAME_PERIOD = 1e-3
@@ -300,10 +292,9 @@ def known_unit(path: Path, number: int, text: str) -> str:
     """
     unit = read_unit(text)
     if unit is None:
-        raise InputError(
-            f"{path}: line {number}: {text} is no acceleration unit known here; convert the "
-            "record to g, m/s2 or cm/s2"
-        )
+        mend = "convert the record to g, m/s2 or cm/s2"
+        why = f"{text} is no acceleration unit known here; {mend}"
+        raise InputError(f"{path}: line {number}: {why}")
     return unit
 
 
@@ -386,5 +377,4 @@ def _check_point(path: Path, number: int, line: str, end: int) -> None:
 
 
 def _counts(line: str) -> Iterable[int]:
-    named = _COUNT.findall(line)
-    yield from map(int, named or _COUNT_FIRST.findall(line))
+    yield from map(int, _COUNT.findall(line) or _COUNT_FIRST.findall(line))
