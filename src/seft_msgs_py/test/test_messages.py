@@ -9,21 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from seft_msgs_py.errors import WireError
+from seft_msgs_py.wire import messages
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
-from seft_msgs_py.wire.messages import (
-    WARN,
-    EstimatesCodec,
-    Status,
-    decode_clock,
-    decode_description,
-    decode_diagnostics,
-    decode_status,
-    decode_string,
-    encode_clock,
-    encode_diagnostics,
-    encode_status,
-    encode_string,
-)
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, MEASURED, Timebase
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
@@ -38,7 +25,7 @@ deserialise = rclpy_serialization.deserialize_message
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"))
 STATUS = st.builds(
-    Status,
+    messages.Status,
     name=TEXT,
     level=st.integers(0, 3),
     message=TEXT,
@@ -46,13 +33,20 @@ STATUS = st.builds(
     values=st.dictionaries(TEXT, TEXT, max_size=4),
 )
 STAMP = st.integers(0, 2**31 * 10**9 - 1)
-DECODERS = (decode_string, decode_status, decode_diagnostics, decode_clock)
-RIG = Status("rig", WARN, "3 steps late", "paper's rig", {"missed": "3", "phase": "running"})
+DECODERS = (
+    messages.decode_string,
+    messages.decode_status,
+    messages.decode_diagnostics,
+    messages.decode_clock,
+)
+RIG = messages.Status(
+    "rig", messages.WARN, "3 steps late", "paper's rig", {"missed": "3", "phase": "running"}
+)
 ENCODED = (
-    encode_string("größer"),
-    encode_status(RIG),
-    encode_diagnostics(5, [RIG, RIG]),
-    encode_clock(7_000_000_001),
+    messages.encode_string("größer"),
+    messages.encode_status(RIG),
+    messages.encode_diagnostics(5, [RIG, RIG]),
+    messages.encode_clock(7_000_000_001),
 )
 
 
@@ -68,32 +62,32 @@ def ros_status(status):
 
 @given(TEXT)
 def test_text_has_the_bytes_that_rclpy_writes(text):
-    assert encode_string(text) == serialise(String(data=text))
-    assert decode_string(encode_string(text)) == text
+    assert messages.encode_string(text) == serialise(String(data=text))
+    assert messages.decode_string(messages.encode_string(text)) == text
 
 
 @given(STAMP)
 def test_clock_has_the_bytes_that_rclpy_writes(stamp):
     clock = Clock()
     clock.clock.sec, clock.clock.nanosec = divmod(stamp, 10**9)
-    assert encode_clock(stamp) == serialise(clock)
-    assert decode_clock(encode_clock(stamp)) == stamp
+    assert messages.encode_clock(stamp) == serialise(clock)
+    assert messages.decode_clock(messages.encode_clock(stamp)) == stamp
 
 
 @given(STATUS)
 def test_status_is_read_alike_by_rclpy_and_here(status):
-    assert deserialise(encode_status(status), DiagnosticStatus) == ros_status(status)
-    assert decode_status(serialise(ros_status(status))) == status
-    assert len(encode_status(status)) == len(serialise(ros_status(status)))
+    assert deserialise(messages.encode_status(status), DiagnosticStatus) == ros_status(status)
+    assert messages.decode_status(serialise(ros_status(status))) == status
+    assert len(messages.encode_status(status)) == len(serialise(ros_status(status)))
 
 
 @given(STAMP, st.lists(STATUS, max_size=3))
 def test_diagnostics_are_read_alike_by_rclpy_and_here(stamp, statuses):
-    ours = encode_diagnostics(stamp, statuses)
+    ours = messages.encode_diagnostics(stamp, statuses)
     theirs = DiagnosticArray(status=[ros_status(status) for status in statuses])
     theirs.header.stamp.sec, theirs.header.stamp.nanosec = divmod(stamp, 10**9)
     assert deserialise(ours, DiagnosticArray) == theirs
-    assert decode_diagnostics(serialise(theirs)) == (stamp, statuses)
+    assert messages.decode_diagnostics(serialise(theirs)) == (stamp, statuses)
 
 
 @pytest.mark.parametrize("padding", [b"\x00", b"\x00\x00\x00", b"garbage that a middleware left"])
@@ -103,12 +97,12 @@ def test_bytes_past_the_end_are_ignored(padding):
 
 
 def test_big_endian_messages_are_read():
-    assert decode_clock(b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 4)) == 3_000_000_004
+    assert messages.decode_clock(b"\x00\x00\x00\x00" + struct.pack(">iI", 3, 4)) == 3_000_000_004
 
 
 def test_of_keys_that_come_twice_the_last_counts():
     twice = DiagnosticStatus(values=[KeyValue(key="a", value="1"), KeyValue(key="a", value="2")])
-    assert decode_status(serialise(twice)).values == {"a": "2"}
+    assert messages.decode_status(serialise(twice)).values == {"a": "2"}
 
 
 def test_every_truncation_is_refused():
@@ -121,20 +115,20 @@ def test_every_truncation_is_refused():
 @pytest.mark.parametrize(
     "encode",
     [
-        lambda: encode_string(b"bytes"),
-        lambda: encode_string("nul \x00"),
-        lambda: encode_string("surrogate \ud800"),
-        lambda: encode_clock(1.0),
-        lambda: encode_clock(np.int64(1)),
-        lambda: encode_clock(2**31 * 10**9),
-        lambda: encode_status({"name": "rig"}),
-        lambda: encode_status(Status("rig", True, "")),
-        lambda: encode_status(Status("rig", 4, "")),
-        lambda: encode_status(Status("rig", np.int64(0), "")),
-        lambda: encode_status(Status("rig", 0, None)),
-        lambda: encode_status(Status("rig", 0, "", values={"missed": 3})),
-        lambda: encode_status(Status("rig", 0, "", values={3: "missed"})),
-        lambda: encode_diagnostics(0, [None]),
+        lambda: messages.encode_string(b"bytes"),
+        lambda: messages.encode_string("nul \x00"),
+        lambda: messages.encode_string("surrogate \ud800"),
+        lambda: messages.encode_clock(1.0),
+        lambda: messages.encode_clock(np.int64(1)),
+        lambda: messages.encode_clock(2**31 * 10**9),
+        lambda: messages.encode_status({"name": "rig"}),
+        lambda: messages.encode_status(messages.Status("rig", True, "")),
+        lambda: messages.encode_status(messages.Status("rig", 4, "")),
+        lambda: messages.encode_status(messages.Status("rig", np.int64(0), "")),
+        lambda: messages.encode_status(messages.Status("rig", 0, None)),
+        lambda: messages.encode_status(messages.Status("rig", 0, "", values={"missed": 3})),
+        lambda: messages.encode_status(messages.Status("rig", 0, "", values={3: "missed"})),
+        lambda: messages.encode_diagnostics(0, [None]),
     ],
 )
 def test_a_wrong_python_type_is_refused_not_corrupted(encode):
@@ -151,7 +145,7 @@ def test_only_bytes_are_decoded(decode, raw):
 
 AXES = ("north", "east")
 TIMEBASE = Timebase.from_rate(500.0)
-CODEC = EstimatesCodec(AXES, TIMEBASE)
+CODEC = messages.EstimatesCodec(AXES, TIMEBASE)
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ESTIMATES = st.dictionaries(TEXT, hnp.arrays(np.float64, 2, elements=FINITE), min_size=1)
 GOOD = {"delay": np.array([0.0123, 0.0131]), "stiffness": np.array([2.11e5, 3.0e5])}
@@ -200,7 +194,7 @@ def test_estimates_that_do_not_fit_the_axes_are_refused(estimates):
 def statuses(north, east, names=AXES):
     values = (north, east)
     return [
-        Status(f"reference_force: {axis}", 0, "", values=v)
+        messages.Status(f"reference_force: {axis}", 0, "", values=v)
         for axis, v in zip(names, values, strict=True)
     ]
 
@@ -224,7 +218,7 @@ def statuses(north, east, names=AXES):
 )
 def test_a_message_that_is_not_of_this_test_is_refused_with_the_reason(stamp_ns, sent, reason):
     with pytest.raises(WireError, match=reason):
-        CODEC.decode(encode_diagnostics(stamp_ns, sent))
+        CODEC.decode(messages.encode_diagnostics(stamp_ns, sent))
 
 
 # ---- whatever bytes come on a topic, decoders give a value or the project's own error
@@ -233,12 +227,12 @@ CODECS = [TrajectoryCodec(topic, AXES, TIMEBASE) for topic in LOOP_TOPICS]
 DESCRIBED = json.dumps({"node": "rig", "parameters": {"rate": 500.0}})
 
 ANY_DECODERS = {
-    "status": (decode_status, encode_status(RIG)),
+    "status": (messages.decode_status, messages.encode_status(RIG)),
     "state": (decode_state, encode_state(ExperimentState(State.RUNNING, "running", 9))),
-    "diagnostics": (decode_diagnostics, encode_diagnostics(5, [RIG, RIG])),
-    "string": (decode_string, encode_string("some text")),
-    "clock": (decode_clock, encode_clock(10**9)),
-    "description": (decode_description, encode_string(DESCRIBED)),
+    "diagnostics": (messages.decode_diagnostics, messages.encode_diagnostics(5, [RIG, RIG])),
+    "string": (messages.decode_string, messages.encode_string("some text")),
+    "clock": (messages.decode_clock, messages.encode_clock(10**9)),
+    "description": (messages.decode_description, messages.encode_string(DESCRIBED)),
     "estimates": (CODEC.decode, CODEC.encode(3, GOOD)),
     "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((6, 2)))),
     **{

@@ -6,26 +6,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from seft_msgs_py.errors import InputError, WireError
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.messages import nanoseconds, typestore
-from seft_msgs_py.wire.topics import (
-    DRIVE,
-    GROUND_MOTION,
-    IS_SUSPECT,
-    JOINT_TRAJECTORY,
-    LOOP_TOPICS,
-    MEASURED,
-    QUANTITIES,
-    REFERENCE_FORCE,
-    RIG_STATE,
-    TARGET,
-    Timebase,
-)
 from seft_msgs_py.wire.trajectory import TrajectoryCodec, decode_batch, parse_trajectory
 
 serialization = pytest.importorskip("rclpy.serialization")
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
-TIMEBASE = Timebase.from_rate(500.0)
+TIMEBASE = topics.Timebase.from_rate(500.0)
 DAYS = 7 * 24 * 3600 * 500  # in steps
 AXES = st.lists(
     st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1),
@@ -40,9 +28,11 @@ NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
 @st.composite
 def messages(draw, most_points=4):
     """A codec, a step, and values of shape (p, q, n)."""
-    timebase = draw(st.sampled_from([TIMEBASE, Timebase.from_rate(4096.0)]))
-    codec = TrajectoryCodec(draw(st.sampled_from((*LOOP_TOPICS, TARGET))), draw(AXES), timebase)
-    count = 1 if DRIVE in codec.topic.quantities else draw(st.integers(1, most_points))
+    timebase = draw(st.sampled_from([TIMEBASE, topics.Timebase.from_rate(4096.0)]))
+    codec = TrajectoryCodec(
+        draw(st.sampled_from((*topics.LOOP_TOPICS, topics.TARGET))), draw(AXES), timebase
+    )
+    count = 1 if topics.DRIVE in codec.topic.quantities else draw(st.integers(1, most_points))
     shape = count, len(codec.topic.quantities), len(codec.axes)
     return codec, draw(st.integers(0, DAYS)), draw(arrays(np.float64, shape, elements=FINITE))
 
@@ -51,9 +41,9 @@ def fields_of(codec, values):
     """The points on the wire: whether it is suspect and what a rig applies are a second one."""
     points = [dict(zip(codec.topic.quantities, point, strict=True)) for point in values]
     return points + [
-        {"positions": point.pop(IS_SUSPECT), "effort": point.pop(DRIVE)}
+        {"positions": point.pop(topics.IS_SUSPECT), "effort": point.pop(topics.DRIVE)}
         for point in points
-        if DRIVE in point
+        if topics.DRIVE in point
     ]
 
 
@@ -79,7 +69,7 @@ def cdr(codec, step, values, pad=b"\x00", end=b"", frame_id="", options=b"\x00\x
     points = fields_of(codec, values)
     put("I", len(points), align=4)
     for index, point in enumerate(points):
-        for quantity in QUANTITIES:
+        for quantity in topics.QUANTITIES:
             given = point.get(quantity, ())
             put("I", len(given), align=4)
             for value in given:
@@ -113,9 +103,9 @@ def test_rclpy_and_rosbags_read_the_samples_as_they_are(message):
     raw = codec.encode_points(step, values)
     expected = ros_message(codec, step, values)
     assert serialization.deserialize_message(raw, JointTrajectory) == expected
-    found = typestore().deserialize_cdr(raw, JOINT_TRAJECTORY)
+    found = typestore().deserialize_cdr(raw, topics.JOINT_TRAJECTORY)
     for point, wanted in zip(found.points, expected.points, strict=True):
-        for name in QUANTITIES:
+        for name in topics.QUANTITIES:
             assert getattr(point, name).tolist() == list(getattr(wanted, name))
 
 
@@ -140,7 +130,7 @@ def test_garbage_in_padding_and_past_the_end_is_ignored(message, pad, end):
 
 @pytest.mark.parametrize("shape", [(3,), (1, 3), (1, 1, 3)])
 def test_one_quantity_may_leave_out_its_dimension(shape):
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
+    codec = TrajectoryCodec(topics.REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
     values = np.array([1.0, 2.0, 3.0]).reshape(shape)
     assert_decodes(codec, codec.encode(4, values), 4, values.reshape(1, 1, 3))
 
@@ -154,7 +144,7 @@ SHAPES = ((), (0,), (2,), (4,), (3, 1), (2, 2), (1, 3, 1), (0, 3), (3, 0))
     [1, 1.0, None, [1.0, 2.0, 3.0], *(np.ones(3, t) for t in TYPES), *map(np.zeros, SHAPES)],
 )
 def test_another_type_or_shape_is_refused_not_corrupted(values):
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
+    codec = TrajectoryCodec(topics.REFERENCE_FORCE, ("x", "y", "z"), TIMEBASE)
     with pytest.raises(WireError, match="reference_force"):
         codec.encode(0, values)
     with pytest.raises(WireError, match="reference_force"):
@@ -162,7 +152,7 @@ def test_another_type_or_shape_is_refused_not_corrupted(values):
 
 
 def test_points_on_three_axes_are_not_mistaken_for_three_axes():
-    codec = TrajectoryCodec(GROUND_MOTION, ("x", "y", "z"), TIMEBASE)
+    codec = TrajectoryCodec(topics.GROUND_MOTION, ("x", "y", "z"), TIMEBASE)
     with pytest.raises(WireError, match="shape"):
         codec.encode_points(0, np.zeros(3))
 
@@ -186,7 +176,7 @@ def test_nan_and_inf_are_refused_both_ways_by_axis_and_quantity(message, value, 
 
 
 @pytest.mark.parametrize("other", [("y", "x"), ("x",), ("x", "y", "z"), ("x", "Y"), ("x", "y ")])
-@pytest.mark.parametrize("topic", LOOP_TOPICS, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("topic", topics.LOOP_TOPICS, ids=lambda topic: topic.name)
 def test_other_axes_are_refused_with_both_lists(topic, other):
     theirs = TrajectoryCodec(topic, other, TIMEBASE)
     ours = TrajectoryCodec(topic, ("x", "y"), TIMEBASE)
@@ -199,7 +189,9 @@ def test_other_axes_are_refused_with_both_lists(topic, other):
 @pytest.mark.parametrize("points", [1, 2, 20])
 @pytest.mark.parametrize("axes", [("x",), ("north", "east", "up")])
 def test_the_force_of_a_target_is_read_by_who_does_not_know_of_it(monkeypatch, points, axes):
-    target, force = (TrajectoryCodec(topic, axes, TIMEBASE) for topic in (TARGET, REFERENCE_FORCE))
+    target, force = (
+        TrajectoryCodec(topic, axes, TIMEBASE) for topic in (topics.TARGET, topics.REFERENCE_FORCE)
+    )
     values = np.random.default_rng(1).normal(size=(points, 3, len(axes)))
     raw = target.encode_points(7, values)
     step, slowly = force._decode_slowly(raw)
@@ -213,8 +205,8 @@ def test_the_force_of_a_target_is_read_by_who_does_not_know_of_it(monkeypatch, p
 
 @pytest.mark.parametrize(("theirs", "step"), [(1000.0, 1), (512.0, 1), (400.0, 3)])
 def test_samples_of_another_rate_are_refused(theirs, step):
-    sender = TrajectoryCodec(REFERENCE_FORCE, ("x",), Timebase.from_rate(theirs))
-    receiver = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    sender = TrajectoryCodec(topics.REFERENCE_FORCE, ("x",), topics.Timebase.from_rate(theirs))
+    receiver = TrajectoryCodec(topics.REFERENCE_FORCE, ("x",), TIMEBASE)
     with pytest.raises(WireError, match="another rate"):
         receiver.decode(sender.encode(step, np.zeros(1)))
     later = sender.timebase.stamp_ns(1)
@@ -224,7 +216,7 @@ def test_samples_of_another_rate_are_refused(theirs, step):
 
 @pytest.mark.parametrize("nanoseconds", [1, 1_999_999, 2_000_000])
 def test_a_first_point_after_the_stamp_is_refused(nanoseconds):
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    codec = TrajectoryCodec(topics.REFERENCE_FORCE, ("x",), TIMEBASE)
     message = ros_message(codec, 3, np.zeros((1, 1, 1)))
     message.points[0].time_from_start.nanosec = nanoseconds
     with pytest.raises(WireError, match=f"point 0 is {nanoseconds} ns after the stamp"):
@@ -232,7 +224,7 @@ def test_a_first_point_after_the_stamp_is_refused(nanoseconds):
 
 
 def test_a_message_without_points_is_refused():
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    codec = TrajectoryCodec(topics.REFERENCE_FORCE, ("x",), TIMEBASE)
     with pytest.raises(WireError, match="at least one point"):
         codec.encode_points(0, np.zeros((0, 1)))
     with pytest.raises(WireError, match="no point"):
@@ -240,13 +232,13 @@ def test_a_message_without_points_is_refused():
 
 
 def test_a_negative_stamp_is_refused():
-    codec = TrajectoryCodec(REFERENCE_FORCE, ("x",), TIMEBASE)
+    codec = TrajectoryCodec(topics.REFERENCE_FORCE, ("x",), TIMEBASE)
     with pytest.raises(WireError, match="-2000000 ns"):
         codec.decode(cdr(codec, -1, np.zeros((1, 1, 1))))
 
 
 def test_a_message_is_taken_apart_without_checking_it():
-    codec = TrajectoryCodec(RIG_STATE, ("größe", "y"), TIMEBASE)
+    codec = TrajectoryCodec(topics.RIG_STATE, ("größe", "y"), TIMEBASE)
     values = np.arange(12.0).reshape(1, 6, 2)
     message = parse_trajectory(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))
     assert message.stamp_ns == 1_002_000_000
@@ -258,9 +250,9 @@ def test_a_message_is_taken_apart_without_checking_it():
 
 
 def test_every_truncation_is_refused():
-    for topic in LOOP_TOPICS:
+    for topic in topics.LOOP_TOPICS:
         codec = TrajectoryCodec(topic, ("x", "y"), TIMEBASE)
-        count = 1 if topic is RIG_STATE else 2
+        count = 1 if topic is topics.RIG_STATE else 2
         raw = codec.encode_points(9, np.ones((count, len(topic.quantities), 2)))
         for end in range(len(raw)):
             with pytest.raises(WireError):
@@ -268,7 +260,7 @@ def test_every_truncation_is_refused():
 
 
 def test_what_a_failed_sensor_shows_passes_both_ways():
-    codec = TrajectoryCodec(MEASURED, ("x", "y"), TIMEBASE)
+    codec = TrajectoryCodec(topics.MEASURED, ("x", "y"), TIMEBASE)
     state = np.arange(8.0).reshape(4, 2)
     state[0, 1], state[3, 0] = np.nan, -np.inf
     raw = codec.encode(3, state)

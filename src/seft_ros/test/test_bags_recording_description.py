@@ -8,13 +8,7 @@ from pathlib import Path
 
 import pytest
 from seft_msgs_py.errors import InputError
-from seft_ros.bags.recording import (
-    Description,
-    describe_environment,
-    git_state,
-    read_description,
-    write_description,
-)
+from seft_ros.bags import recording
 
 NODE = {"rate": 500.0, "axes": ["x"], "seed": 7}
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
@@ -33,13 +27,15 @@ def checkout(tmp_path):
     (tmp_path / "code.py").write_text("a = 1\n")
     git("add", "code.py")
     git("commit", "-m", "first")
-    git_state.cache_clear()
+    recording.git_state.cache_clear()
     yield tmp_path
-    git_state.cache_clear()
+    recording.git_state.cache_clear()
 
 
 def test_environment_is_json_and_tells_mode_start_and_versions():
-    environment = json.loads(json.dumps(describe_environment("lockstep"), allow_nan=False))
+    environment = json.loads(
+        json.dumps(recording.describe_environment("lockstep"), allow_nan=False)
+    )
     assert environment["mode"] == "lockstep"
     start = datetime.fromisoformat(environment["start"])
     assert start.tzinfo is not None
@@ -49,7 +45,7 @@ def test_environment_is_json_and_tells_mode_start_and_versions():
 
 
 def test_environment_names_no_person_host_or_folder():
-    text = json.dumps(describe_environment("simulate"))
+    text = json.dumps(recording.describe_environment("simulate"))
     assert str(Path.home()) not in text
     assert str(Path.cwd()) not in text
     for name in (socket.gethostname(), getpass.getuser()):
@@ -59,13 +55,13 @@ def test_environment_names_no_person_host_or_folder():
 @needs_git
 def test_git_revision_is_reported_and_whether_python_files_differ(checkout):
     head = subprocess.check_output(["git", "-C", checkout, "rev-parse", "HEAD"], text=True).strip()
-    assert git_state(checkout / "code.py") == {"revision": head, "dirty": False}
-    git_state.cache_clear()
+    assert recording.git_state(checkout / "code.py") == {"revision": head, "dirty": False}
+    recording.git_state.cache_clear()
     (checkout / "notes.txt").write_text("no code")
-    assert git_state(checkout / "code.py")["dirty"] is False
-    git_state.cache_clear()
+    assert recording.git_state(checkout / "code.py")["dirty"] is False
+    recording.git_state.cache_clear()
     (checkout / "code.py").write_text("a = 2\n")
-    assert git_state(checkout / "code.py") == {"revision": head, "dirty": True}
+    assert recording.git_state(checkout / "code.py") == {"revision": head, "dirty": True}
 
 
 @needs_git
@@ -73,38 +69,38 @@ def test_a_file_that_git_does_not_track_has_no_revision(checkout):
     (checkout / "site-packages").mkdir()
     installed = checkout / "site-packages" / "code.py"
     installed.write_text("a = 1\n")
-    assert git_state(installed) is None
+    assert recording.git_state(installed) is None
 
 
 def test_without_git_there_is_no_revision(tmp_path, monkeypatch):
-    git_state.cache_clear()
+    recording.git_state.cache_clear()
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert git_state(Path(__file__)) is None
-    git_state.cache_clear()
+    assert recording.git_state(Path(__file__)) is None
+    recording.git_state.cache_clear()
 
 
 def test_description_is_read_back():
     sections = {"rig": NODE, "recorder": {"rate": 500.0, "axes": ["x"], "directory": "bags"}}
-    texts = write_description(sections, {"mode": "simulate"})
+    texts = recording.write_description(sections, {"mode": "simulate"})
     assert len(texts) == 3
-    description, refused = read_description(texts)
-    assert description == Description(sections, {"mode": "simulate"})
+    description, refused = recording.read_description(texts)
+    assert description == recording.Description(sections, {"mode": "simulate"})
     assert refused == 0
     assert description.experiment().axes == ("x",)
 
 
 def test_what_a_node_says_beside_its_parameters_is_read_back():
     facts = {"ground_motion": {"motion": {"unit": "g"}, "steps": 3}}
-    texts = write_description({"ground_motion": NODE, "rig": NODE}, {}, facts)
-    assert read_description(texts)[0].facts == facts
+    texts = recording.write_description({"ground_motion": NODE, "rig": NODE}, {}, facts)
+    assert recording.read_description(texts)[0].facts == facts
 
 
 def test_of_a_node_that_describes_itself_twice_the_last_counts():
     texts = [
-        *write_description({"rig": NODE}, {}),
+        *recording.write_description({"rig": NODE}, {}),
         json.dumps({"node": "rig", "parameters": {**NODE, "seed": 8}, "fact": 1}),
     ]
-    assert read_description(texts)[0].sections["rig"]["seed"] == 8
+    assert recording.read_description(texts)[0].sections["rig"]["seed"] == 8
 
 
 @pytest.mark.parametrize(
@@ -112,7 +108,7 @@ def test_of_a_node_that_describes_itself_twice_the_last_counts():
     ["", "no json", "[]", "3", '{"node": "rig"}', '{"node": 3, "parameters": {}}', "[" * 9999],
 )
 def test_text_that_describes_nothing_is_counted(text):
-    description, refused = read_description([text])
+    description, refused = recording.read_description([text])
     assert refused == 1
     with pytest.raises(InputError, match="no node"):
         description.experiment()
@@ -123,4 +119,4 @@ def test_text_that_describes_nothing_is_counted(text):
 )
 def test_parameters_that_make_no_experiment_are_one_line_to_the_user(parameters):
     with pytest.raises(InputError):
-        Description({"rig": parameters}).experiment()
+        recording.Description({"rig": parameters}).experiment()

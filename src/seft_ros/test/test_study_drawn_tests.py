@@ -6,14 +6,7 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.rig_parameters import RIG_TABLE
-from seft_ros.study.drawn_tests import (
-    DRAWN_OFFSETS,
-    DRAWN_QUANTITIES,
-    check_rig,
-    draw_tests,
-    drawn_motion,
-    drawn_rig,
-)
+from seft_ros.study import drawn_tests
 from seft_ros.test_run.parameter_tables import TABLES
 
 TWO = ("/**:axes:=[x, y]", "/**:specimen.stiffness:=[2.11e5, -3.0e4, -3.0e4, 1.8e5]")
@@ -21,26 +14,26 @@ EXPERIMENT = load()
 
 
 def rig_of(number, seed=1, spread=0.2, experiment=EXPERIMENT):
-    return drawn_rig(experiment["rig"], experiment.axes, seed, number, spread)
+    return drawn_tests.drawn_rig(experiment["rig"], experiment.axes, seed, number, spread)
 
 
 def test_every_drawn_quantity_is_a_parameter():
     known = {f"{table.node}:{row}" for table in TABLES for row in table.rows}
-    assert {*DRAWN_QUANTITIES, *DRAWN_OFFSETS} <= known
+    assert {*drawn_tests.DRAWN_QUANTITIES, *drawn_tests.DRAWN_OFFSETS} <= known
 
 
 def test_test_0_is_the_configured_one_and_the_others_are_drawn():
-    drawn = draw_tests(EXPERIMENT, 3, seed=5, spread=0.2)
+    drawn = drawn_tests.draw_tests(EXPERIMENT, 3, seed=5, spread=0.2)
     assert drawn.sections[0] == {node: EXPERIMENT[node] for node in ("rig", "ground_motion")}
     for number, sections in enumerate(drawn.sections[1:], 1):
         assert sections["rig"] == rig_of(number, seed=5)
-        assert sections["ground_motion"] == drawn_motion(
+        assert sections["ground_motion"] == drawn_tests.drawn_motion(
             EXPERIMENT["ground_motion"], 5, number, 0.2, ()
         )
 
 
 def test_a_test_does_not_depend_on_how_many_there_are():
-    few, many = (draw_tests(EXPERIMENT, number) for number in (2, 6))
+    few, many = (drawn_tests.draw_tests(EXPERIMENT, number) for number in (2, 6))
     assert many.sections[:3] == few.sections
     assert many.factors.keys() == few.factors.keys()
     for name, values in few.factors.items():
@@ -55,9 +48,9 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
         if name == "seed":
             continue
         if name.startswith("simulated.sensors.") and name.endswith("_lag"):
-            assert 0.0 <= own[name] <= DRAWN_OFFSETS[f"rig:{name}"] * spread
+            assert 0.0 <= own[name] <= drawn_tests.DRAWN_OFFSETS[f"rig:{name}"] * spread
             continue
-        uncertainty = DRAWN_QUANTITIES.get(f"rig:{name}")
+        uncertainty = drawn_tests.DRAWN_QUANTITIES.get(f"rig:{name}")
         if uncertainty is None or value == 0:
             assert own[name] == value
             continue
@@ -68,14 +61,14 @@ def test_parameters_stay_within_their_spread_and_the_others_as_they_are(number, 
 
 def test_without_spread_only_the_seeds_differ():
     assert rig_of(3, spread=0.0) | {"seed": 1} == EXPERIMENT["rig"]
-    drawn = draw_tests(EXPERIMENT, 2, spread=0.0)
+    drawn = drawn_tests.draw_tests(EXPERIMENT, 2, spread=0.0)
     assert drawn.factors == drawn.offsets == {}
     assert drawn.sections[1]["ground_motion"] | {"synthetic.seed": 1} == EXPERIMENT["ground_motion"]
 
 
 def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
     experiment = load(*TWO)
-    drawn = draw_tests(experiment, 4)
+    drawn = drawn_tests.draw_tests(experiment, 4)
     two = drawn.factors
     assert not np.array_equal(
         two["rig:simulated.actuator.flow_gain, axis x"],
@@ -101,7 +94,7 @@ def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
 
 
 def test_quantities_are_those_on_which_the_test_depends():
-    factors = draw_tests(EXPERIMENT, 4).factors
+    factors = drawn_tests.draw_tests(EXPERIMENT, 4).factors
     rig = {"rig:simulated.specimen.mass", "rig:simulated.actuator.flow_gain"}
     assert rig | {"ground_motion:peak_force"} <= factors.keys()
     assert "rig:simulated.specimen.gap.width" not in factors  # zero
@@ -113,7 +106,7 @@ def test_quantities_are_those_on_which_the_test_depends():
 @given(st.integers(1, 1000), st.just(0.0) | st.floats(1e-6, 1.0), st.sampled_from([0.0, 400.0]))
 def test_a_motion_is_drawn_within_the_spread(number, spread, peak):
     section = EXPERIMENT["ground_motion"] | {"peak_force": peak}
-    drawn = drawn_motion(section, 1, number, spread, ())
+    drawn = drawn_tests.drawn_motion(section, 1, number, spread, ())
     changed = "peak_force" if peak else "influence"
     kept = "influence" if peak else "peak_force"
     ratio = float(np.divide(drawn[changed], section[changed]).item())
@@ -121,12 +114,15 @@ def test_a_motion_is_drawn_within_the_spread(number, spread, peak):
     assert drawn[kept] == section[kept]
     assert drawn["synthetic.seed"] != section["synthetic.seed"]
     assert drawn["synthetic.duration"] == section["synthetic.duration"]
-    assert drawn == drawn_motion(section, 1, number, spread, ())
+    assert drawn == drawn_tests.drawn_motion(section, 1, number, spread, ())
 
 
 def test_each_file_is_drawn_and_the_ground_layer_of_files_is_not():
     section = EXPERIMENT["ground_motion"]
-    drawn = [drawn_motion(section, 1, number, 0.1, ["a", "b", "c"]) for number in range(1, 300)]
+    drawn = [
+        drawn_tests.drawn_motion(section, 1, number, 0.1, ["a", "b", "c"])
+        for number in range(1, 300)
+    ]
     counts = [sum(one["file"] == name for one in drawn) for name in "abc"]
     assert min(counts) > 70 and sum(counts) == 299
     assert {one["synthetic.ground_frequency"] for one in drawn} == {
@@ -136,12 +132,12 @@ def test_each_file_is_drawn_and_the_ground_layer_of_files_is_not():
 
 def test_a_motion_that_is_not_there_is_reported_before_anything_is_run():
     with pytest.raises(InputError, match=r"none\.AT2"):
-        draw_tests(EXPERIMENT, 2, motions=["none.AT2"])
+        drawn_tests.draw_tests(EXPERIMENT, 2, motions=["none.AT2"])
 
 
 def test_a_rig_that_can_not_be_is_refused_by_its_number():
     section = EXPERIMENT["rig"] | {"simulated.actuator.dead_time": 1.1}
     with pytest.raises(InputError, match=r"^drawn test 5: .*dead_time.*smaller spread"):
-        check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 5)
+        drawn_tests.check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 5)
     with pytest.raises(InputError, match=r"^rig: simulated.actuator"):
-        check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 0)
+        drawn_tests.check_rig(section, EXPERIMENT.axes, EXPERIMENT.timebase, 0)

@@ -15,13 +15,7 @@ from seft_msgs_py.config.registered import line_in, reason_of
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND, RigAxes
 
-from seft_plant_sim.channels import (
-    ACCELERATION,
-    VELOCITY,
-    acceleration_is_derived,
-    per_channel,
-    velocity_is_derived,
-)
+from seft_plant_sim import channels
 from seft_plant_sim.hardware.safe_stop import Safe, SafeStop, Stopped
 from seft_plant_sim.hardware.udp import UdpHardware
 from seft_plant_sim.rig_parameters import HARDWARE, UDP
@@ -124,10 +118,10 @@ class HostedHardware:
             raise InputError(f"rig: hardware: {self._name} has no method {', '.join(missing)}")
         force_driven = section["actuator.kind"] in FORCE_DRIVEN
         self.drive = (REFERENCE_FORCE if force_driven else VALVE_COMMAND).name
-        every = per_channel(section, axes, "calibration.{}_per_volt")
+        every = channels.per_channel(section, axes, "calibration.{}_per_volt")
         self._per_volt = every[:, list(rig.places)]  # SI units per unit of the device's channels
-        derived = [velocity_is_derived(section), acceleration_is_derived(section)]
-        self._derived = list(compress((VELOCITY, ACCELERATION), derived))
+        derived = [channels.velocity_is_derived(section), channels.acceleration_is_derived(section)]
+        self._derived = list(compress((channels.VELOCITY, channels.ACCELERATION), derived))
         self._period = np.inf if section["pace"] == "lockstep" else period  # where the rig waits
         self._holds = safe.holds
         # of a displacement servo: its last command, and that of it where a test's is 0
@@ -165,7 +159,7 @@ class HostedHardware:
         if not (self._remote or np.isfinite(sample).all()):  # a lost sample is judged
             row, axis = np.argwhere(~np.isfinite(sample))[0].tolist()
             what = f" gave {sample[row, axis]} for the {CHANNELS[row]} of axis {self._axes[axis]}"
-            if row in (VELOCITY, ACCELERATION):
+            if row in (channels.VELOCITY, channels.ACCELERATION):
                 what += f"; if it has no such sensor, give /**: sensors.{CHANNELS[row]}: derived"
             raise self._wrong("read", what)
         return sample

@@ -8,25 +8,13 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.errors import InputError
 
-from seft_ros.ground_motion.readers.columns import (
-    Columns,
-    named_unit,
-    says_acceleration,
-    tells_quantity,
-)
+from seft_ros.ground_motion.readers import columns, statements
 from seft_ros.ground_motion.readers.record_text import (
     COMMENT_MARKS,
     is_comment,
     is_end_mark,
     is_number,
     to_float,
-)
-from seft_ros.ground_motion.readers.statements import (
-    Header,
-    Statement,
-    agreed,
-    check_factor,
-    read_header,
 )
 
 _OF_SPECTRUM = re.compile(r"\W*(?:natural\s+)?(?:period|freq(?:uency)?)(?![a-z])", re.I)
@@ -46,7 +34,7 @@ _LIKE = 4.0  # factor between mean squares of steps that are of one kind
 _Rows = list[tuple[int, list[str]]]
 
 
-def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
+def read_column_file(path: Path, lines: list[str], rows: bool) -> columns.Columns:
     """Read the numbers of a file, as columns or as one motion in rows.
 
     Comment lines (%, #, //, !, ;) and blank lines may be anywhere, lines of text above the data, an
@@ -64,21 +52,21 @@ def read_column_file(path: Path, lines: list[str], rows: bool) -> Columns:
     counted, data = _numeric_header(path, data)
     names, place, stated = _read_head(path, lines[:start], separator, data)
     header = _with(header=stated, counted=counted, path=path)
-    has_unit = header.unit is not None or any(map(named_unit, names))
+    has_unit = header.unit is not None or any(map(columns.named_unit, names))
     last = {fields[-1] for _, fields in data}
     if not has_unit or (len(last) > 1 and all(map(_WHOLE.fullmatch, last))):
-        check_factor(path, list(enumerate(lines[:start], start=1)))
+        statements.check_factor(path, list(enumerate(lines[:start], start=1)))
     if _is_in_rows(path, data, header, rows):
         return _one_motion(path, data, header)
     if any(map(_OF_SPECTRUM.match, names)):
         what = "a spectrum, no time history; give the record of the acceleration"
         raise InputError(f"{path}: its columns are {', '.join(names)}{place}: {what}")
-    values, says_so = _table(path, data), any(map(says_acceleration, names))
+    values, says_so = _table(path, data), any(map(columns.says_acceleration, names))
     _check_pairs(path, values)
     places, texts = [number for number, _ in data], [fields for _, fields in data]
     known = names, place, header.dt, header.unit, texts
     sure = separator is not None and (says_so or bool(names and header.unit))
-    return Columns(path, values, places, IN_COLUMNS, *known, sure=sure)
+    return columns.Columns(path, values, places, IN_COLUMNS, *known, sure=sure)
 
 
 def _find_data(path: Path, lines: list[str]) -> tuple[int, str | None]:
@@ -113,7 +101,7 @@ def _data_rows(lines: list[str], start: int, separator: str | None) -> _Rows:
     ]
 
 
-def _numeric_header(path: Path, data: _Rows) -> tuple[Header, _Rows]:
+def _numeric_header(path: Path, data: _Rows) -> tuple[statements.Header, _Rows]:
     """Take off first lines that give the number of points, and perhaps the sampling period.
 
     They are ``4000 0.01`` or ``4000``, where so many values or rows follow.
@@ -130,14 +118,14 @@ def _numeric_header(path: Path, data: _Rows) -> tuple[Header, _Rows]:
             continue
         if alone or (period is not None and 0 < period <= _LONGEST_PERIOD):
             place = f"line {data[0][0]}"
-            dt = Statement(period, f"line {data[lines - 1][0]}") if period else None
-            return Header(None, dt, Statement(count, place)), others
-    return Header(), data
+            dt = statements.Statement(period, f"line {data[lines - 1][0]}") if period else None
+            return statements.Header(None, dt, statements.Statement(count, place)), others
+    return statements.Header(), data
 
 
 def _read_head(
     path: Path, lines: list[str], separator: str | None, data: _Rows
-) -> tuple[tuple[str, ...], str, Header]:
+) -> tuple[tuple[str, ...], str, statements.Header]:
     """Read the names of the columns, their place, and the statements of the lines above the data.
 
     The last of the lines has the names, if it splits into as many fields as there are columns. If
@@ -148,31 +136,33 @@ def _read_head(
     for number, line in numbered:
         fields = _fields(line, separator)
         suspect = any(is_number(field) or _LIKE_A_NUMBER.match(field) for field in fields)
-        suspect = suspect and read_header(path, [(number, line)]) == Header()
+        suspect = suspect and statements.read_header(path, [(number, line)]) == statements.Header()
         if len(fields) == count and suspect and not is_comment(line):
             for field in fields:
                 to_float(field, path, number)
     if not numbered:
-        return (), "", Header()
+        return (), "", statements.Header()
     last, line = numbered[-1]
-    names, stated = _names(line, separator, count), read_header(path, numbered[-1:])
+    names, stated = _names(line, separator, count), statements.read_header(path, numbered[-1:])
     is_table = bool(separator) and count > 1 and not (stated.dt or stated.count)
     short = len(line.split()) <= _LONGEST_NAME and ":" not in line
-    if count == 1 and not (short and tells_quantity(line)):
+    if count == 1 and not (short and columns.tells_quantity(line)):
         names = ()
-    if names and (is_table or stated == Header()):
-        return names, f" (line {last})", read_header(path, numbered[:-1])
-    return (), f" (line {last})", read_header(path, numbered)
+    if names and (is_table or stated == statements.Header()):
+        return names, f" (line {last})", statements.read_header(path, numbered[:-1])
+    return (), f" (line {last})", statements.read_header(path, numbered)
 
 
-def _with(*, header: Header, counted: Header, path: Path) -> Header:
+def _with(
+    *, header: statements.Header, counted: statements.Header, path: Path
+) -> statements.Header:
     """Join the statements of words and of numbers above the data."""
-    dt = agreed(path, "sampling period, s,", header.dt, counted.dt)
-    count = agreed(path, "number of points", header.count, counted.count)
-    return Header(header.unit, dt, count)
+    dt = statements.agreed(path, "sampling period, s,", header.dt, counted.dt)
+    count = statements.agreed(path, "number of points", header.count, counted.count)
+    return statements.Header(header.unit, dt, count)
 
 
-def _is_in_rows(path: Path, data: _Rows, header: Header, rows: bool) -> bool:
+def _is_in_rows(path: Path, data: _Rows, header: statements.Header, rows: bool) -> bool:
     """Decide whether the numbers are one motion in rows."""
     sizes = [len(fields) for _, fields in data]
     if header.count:
@@ -209,21 +199,21 @@ def goes_on(values: npt.NDArray[np.float64]) -> bool:
     return bool(between < _LIKE * within and within < _LIKE * between and within < down)
 
 
-def _one_motion(path: Path, data: _Rows, header: Header) -> Columns:
+def _one_motion(path: Path, data: _Rows, header: statements.Header) -> columns.Columns:
     places = [number for number, fields in data for _ in fields]
     values = [to_float(field, path, number) for number, fields in data for field in fields]
     table = np.array(values)[:, np.newaxis]
     sizes = {len(fields) for _, fields in data[:-1]}
     if len(sizes) == 1 and (wide := sizes.pop()) > 1:
         whole = np.reshape(values[: len(values) // wide * wide], (-1, wide))
-        rows = Columns(path, whole, places[::wide], IN_COLUMNS)
+        rows = columns.Columns(path, whole, places[::wide], IN_COLUMNS)
         for column in range(wide):
             if step := rows.rise(column):
                 raise InputError(
                     f"{path}: column {column} rises from line to line in steps of {step:g}, as "
                     "time or a count does: it is not one motion in rows; leave rows (--rows) out"
                 )
-    return Columns(path, table, places, IN_ROWS, (), "", header.dt, header.unit)
+    return columns.Columns(path, table, places, IN_ROWS, (), "", header.dt, header.unit)
 
 
 def _table(path: Path, data: _Rows) -> npt.NDArray[np.float64]:
