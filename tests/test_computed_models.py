@@ -69,10 +69,7 @@ def test_a_model_gives_the_bits_of_the_offline_loop_in_its_node_near_the_whole(l
 
 def test_a_model_that_fails_brings_the_test_down_softly_and_says_where(seft, refused, model):
     """Of all ways in which a model fails, see test_model_process.py."""
-    words, text = (
-        (DEMO, *SHORT, *model("Breaking")),
-        "models.py:Breaking line 89, step: it broke",
-    )
+    words, text = ((DEMO, *SHORT, *model("Breaking")), "models.py:Breaking line 89, step: it broke")
     offline = seft("simulate", *words, "--json", status=1)
     found = json.loads(offline.stdout)
     assert text in found["trip"]["reason"]

@@ -156,6 +156,13 @@ def port_of(hardware):
     return hardware._socket.getsockname()[1]
 
 
+def begin_test(peer, hardware):
+    """Take a sample at rest, and answer it by the first command of a test."""
+    peer.send(sample(1), port_of(hardware))
+    hardware.read()
+    hardware.write(np.ones(1))
+
+
 @given(_courses)
 def test_of_a_lying_controller_only_what_is_right_is_obeyed(kinds):
     peer, first = Peer(), 2**32 - 3
@@ -202,9 +209,7 @@ def test_an_answer_to_a_command_that_is_not_the_newest_is_late(peer):
 
 def test_a_lost_sample_of_a_test_keeps_its_place(peer):
     with hosting(peer.port, "controller") as hardware:
-        peer.send(sample(1), port_of(hardware))
-        hardware.read()
-        hardware.write(np.ones(1))
+        begin_test(peer, hardware)
         for step in (2, 5):
             peer.send(sample(step, RUN), port_of(hardware))
         found = []
@@ -218,9 +223,7 @@ def test_a_lost_sample_of_a_test_keeps_its_place(peer):
 
 def test_safe_answers_the_newest_sample_and_is_said_at_rest(peer):
     with hosting(peer.port, "controller") as hardware:
-        peer.send(sample(1), port_of(hardware))
-        hardware.read()
-        hardware.write(np.ones(1))
+        begin_test(peer, hardware)
         peer.send(sample(2, RUN), port_of(hardware))
         peer.send(sample(3, RUN), port_of(hardware))
         hardware.safe()
@@ -255,13 +258,11 @@ def test_unanswered_commands_are_missing_samples_until_it_is_silence(peer):
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_controller_that_closes_by_itself_ends_the_test(peer, clock):
     with hosting(peer.port, clock) as hardware:
-        peer.send(sample(1), port_of(hardware))
+        begin_test(peer, hardware)
+        peer.send(sample(2, RUN), port_of(hardware))
         hardware.read()
-        for step, state in ((2, RUN), (3, CLOSED)):
-            hardware.write(np.ones(1))
-            peer.send(sample(step, state), port_of(hardware))
-            if state == RUN:
-                hardware.read()
+        hardware.write(np.ones(1))
+        peer.send(sample(3, CLOSED), port_of(hardware))
         with pytest.raises(ConnectionError, match="has closed its valve by itself"):
             hardware.read()
         hardware.write(np.ones(1))  # of the stop that follows
@@ -286,9 +287,7 @@ def test_a_controller_that_does_not_open_its_valve_ends_the_test(peer):
 
 def test_a_host_that_stood_still_obeys_nothing_that_waited(peer, monkeypatch):
     with hosting(peer.port, "controller") as hardware:
-        peer.send(sample(1), port_of(hardware))
-        hardware.read()
-        hardware.write(np.ones(1))
+        begin_test(peer, hardware)
         for step in (2, 4, 5):
             peer.send(sample(step, RUN), port_of(hardware))
         hardware.read()

@@ -18,44 +18,31 @@ def supervisor(state, detail, **values):
     return ExperimentState(State(state), detail, **values)
 
 
-def test_a_test_that_ran_to_its_end_has_no_trip():
-    assert trip_of_messages(rig(), supervisor("done", "10 steps done"), TIMEBASE) is None
-    assert trip_of_messages(None, None, TIMEBASE) is None
+STOP = supervisor("done", "stopped by the operator")
+FORCE = Trip("force", 9, 0.018)
+ENDS = {
+    "a test that ran to its end has no trip": (rig(), supervisor("done", "10 steps done"), None),
+    "nobody has said anything": (None, None, None),
+    "an operator's stop is no trip": (rig(STOPPED), STOP, None),
+    "nor where the record ended first": (rig(), STOP, None),
+    "a rig that trips when a stop has ended has tripped": (rig("force"), STOP, FORCE),
+    "without a supervisor the rig's word counts": (rig("force"), None, FORCE),
+    "the supervisor knows why a rig was stopped and when": (rig(STOPPED), "silent", 4),
+    "the supervisor adds to what the rig said": (rig("force"), "force; silent", 9),
+    "a record that ended while it was brought down keeps the cause": (rig(), "force is nan", 7),
+    "a dead rig leaves the supervisor's word": (None, "aborted by the operator", 0),
+}
 
 
-def test_the_supervisor_knows_why_a_rig_was_stopped_and_when():
-    ending = supervisor("tripped", "node recorder has been silent since 0.01 s", step=4)
-    assert trip_of_messages(rig(STOPPED), ending, TIMEBASE) == Trip(ending.detail, 4, 0.008)
+@pytest.mark.parametrize(("of_rig", "ending", "trip"), ENDS.values(), ids=ENDS)
+def test_a_trip_is_put_together(of_rig, ending, trip):
+    if isinstance(ending, str):  # that of the supervisor counts, with its step
+        trip = Trip(ending, trip, trip / 500)
+        ending = supervisor("tripped", ending, step=trip.step or None)
+    assert trip_of_messages(of_rig, ending, TIMEBASE) == trip
 
 
-@pytest.mark.parametrize("reason", [STOPPED, None])  # the second, where the record ended first
-def test_an_operators_stop_is_no_trip(reason):
-    ending = supervisor("done", "stopped by the operator")
-    assert trip_of_messages(rig(reason), ending, TIMEBASE) is None
+def test_an_operators_stop_is_known():
     reports = ReportGatherer(TIMEBASE)
-    reports.take_state(encode_state(ending), 0)
+    reports.take_state(encode_state(STOP), 0)
     assert reports.stopped()
-
-
-def test_a_rig_that_trips_when_a_stop_has_ended_has_tripped():
-    ending = supervisor("done", "stopped by the operator")
-    assert trip_of_messages(rig("force"), ending, TIMEBASE).reason == "force"
-
-
-def test_without_a_supervisor_the_rigs_word_counts():
-    assert trip_of_messages(rig("force"), None, TIMEBASE) == Trip("force", 9, 0.018)
-
-
-def test_the_supervisor_adds_to_what_the_rig_said():
-    ending = supervisor("tripped", "force; node rig has been silent since 0.02 s", step=9)
-    assert trip_of_messages(rig("force"), ending, TIMEBASE).reason == ending.detail
-
-
-def test_a_recording_that_ended_while_the_test_was_brought_down_keeps_the_cause():
-    ending = supervisor("tripped", "reference force is nan N on axis x", step=7)
-    assert trip_of_messages(rig(), ending, TIMEBASE) == Trip(ending.detail, 7, 0.014)
-
-
-def test_a_dead_rig_leaves_the_supervisors_word():
-    ending = supervisor("tripped", "aborted by the operator")
-    assert trip_of_messages(None, ending, TIMEBASE) == Trip("aborted by the operator", 0, 0.0)

@@ -57,10 +57,7 @@ def test_text_is_not_taken_for_html(tmp_path: Path) -> None:
 
 
 def test_the_verdict_and_its_findings_have_their_marks(tmp_path: Path) -> None:
-    text = written(
-        tmp_path,
-        VerdictBox(Mark.BAD, "tripped", [Cell("force", Mark.GOOD)]),
-    )
+    text = written(tmp_path, VerdictBox(Mark.BAD, "tripped", [Cell("force", Mark.GOOD)]))
     assert '<div class="verdict bad">' in text
     assert '<li class="good">force</li>' in text
 
@@ -111,10 +108,7 @@ def test_terminal_and_page_show_the_same_cells(tmp_path) -> None:
 
 
 def test_without_headings_names_and_values_are_lines() -> None:
-    assert shown([TextTable((), ROWS)]).splitlines() == [
-        "displacement: 10.5 mm",
-        "x force: 1516 N",
-    ]
+    assert shown([TextTable((), ROWS)]).splitlines() == ["displacement: 10.5 mm", "x force: 1516 N"]
 
 
 def test_what_is_too_wide_is_folded_and_not_cut_off() -> None:

@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-from seft_ros.ground_motion.conditioning import (
-    baseline_numbers,
-    correct,
-    velocity_and_displacement,
-)
+from seft_ros.ground_motion.conditioning import baseline_numbers, correct, velocity_and_displacement
 
 DT = 0.01
 T = DT * np.arange(4001)
