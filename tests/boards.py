@@ -71,38 +71,41 @@ AT = 700
 """Reads after which the bad ones are bad: before the test's beginning, or in it."""
 
 
-class Raises(Board):
+class Spoilt(Board):
+    """What it reads is."""
+
+    def read(self):
+        shown = super().read()
+        return self.spoilt(shown) if self.reads > AT else shown
+
+
+class Raises(Spoilt):
     """The converter fails."""
 
-    def read(self):
-        shown = super().read()
-        if self.reads > AT:
-            raise OSError("the converter does not answer")
-        return shown
+    def spoilt(self, shown):
+        raise OSError("the converter does not answer")
 
 
-class Shrinks(Board):
+class Shrinks(Spoilt):
     """A channel is lost."""
 
-    def read(self):
-        shown = super().read()
-        return shown[:3] if self.reads > AT else shown
+    def spoilt(self, shown):
+        return shown[:3]
 
 
-class Loses(Board):
+class Loses(Spoilt):
     """A value is lost."""
 
-    def read(self):
-        shown = super().read()
-        shown[3, -1] = np.nan if self.reads > AT else shown[3, -1]
+    def spoilt(self, shown):
+        shown[3, -1] = np.nan
         return shown
 
 
-class Tells(Board):
+class Tells(Spoilt):
     """It gives no numbers."""
 
-    def read(self):
-        return "no numbers" if self.reads > AT else super().read()
+    def spoilt(self, shown):
+        return "no numbers"
 
 
 class Refuses(Board):
@@ -114,11 +117,11 @@ class Refuses(Board):
             raise ValueError("refused")
 
 
-class Exits(Board):
+class Exits(Spoilt):
     """A library ends the program."""
 
-    def read(self):
-        return sys.exit("no licence") if self.reads > AT else super().read()
+    def spoilt(self, shown):
+        sys.exit("no licence")
 
 
 class Inherits(Board):
@@ -127,15 +130,14 @@ class Inherits(Board):
     read = textwrap.dedent
 
 
-class Slow(Board):
+class Slow(Spoilt):
     """A call takes longer than a period."""
 
     clock = time  # of the test
 
-    def read(self):
-        if self.reads > AT:
-            self.clock.sleep(0.003)
-        return super().read()
+    def spoilt(self, shown):
+        self.clock.sleep(0.003)
+        return shown
 
 
 class Stuck(Board):

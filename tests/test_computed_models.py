@@ -21,10 +21,8 @@ from seft_ros.test_run.offline import simulate_test
 
 THOROUGH = (pytest.mark.thorough, pytest.mark.offline)
 SHORT = ("-p", "ground_motion:synthetic.duration:=5.0", "-p", "ground_motion:tail:=0.5")
-BILINEAR = (
-    "rig:simulated.specimen.kind:=bilinear",
-    "rig:simulated.specimen.yield_displacement:=0.004",
-)
+YIELDS = "rig:simulated.specimen.yield_displacement:=0.004"
+BILINEAR = ("rig:simulated.specimen.kind:=bilinear", YIELDS)
 
 
 @pytest.fixture
@@ -130,10 +128,8 @@ def test_only_a_target_takes_a_model(seft, model):
 
 def test_a_plan_has_all_modes_of_a_model_with_a_mass_of_its_own(model):
     found = predicted_modes(PlannedTest(load(*bare(model("Damper")), config="demo")))
-    c, k = (
-        np.array([[own + part, -part], [-part, part]])
-        for own, part in ((800.3, 80.0), (2.11e5, 11000.0))
-    )
+    pairs = ((800.3, 80.0), (2.11e5, 11000.0))
+    c, k = (np.array([[own + part, -part], [-part, part]]) for own, part in pairs)
     m = np.diag([2.5 * 52.7, 8.0])
     a = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
     poles = sorted((pole for pole in np.linalg.eigvals(a) if pole.imag > 0), key=abs)

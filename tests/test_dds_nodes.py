@@ -27,10 +27,8 @@ from seft_ros.bags.recording_bag import read_bag
 from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
 
-OVERRIDES = (
-    *(*STALLS_ALLOWED, *MISSES_ALLOWED, *GENTLE)[1::2],
-    "ground_motion:synthetic.duration:=400.0",
-)
+LONG = "ground_motion:synthetic.duration:=400.0"
+OVERRIDES = (*(*STALLS_ALLOWED, *MISSES_ALLOWED, *GENTLE)[1::2], LONG)
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

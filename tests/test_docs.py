@@ -82,12 +82,8 @@ def test_the_script_of_the_stops_stops_a_test():
 def test_layouts_for_outside_tools_plot_fields_of_our_topics():
     layouts = ROOT / "src" / "seft_ros" / "layouts"
     foxglove = json.loads((layouts / "foxglove.json").read_text())["configById"]
-    shown = [
-        path["value"].replace(".points[0].", " ")
-        for name, panel in foxglove.items()
-        if name.startswith("Plot!")
-        for path in panel["paths"]
-    ]
+    plots = [panel for name, panel in foxglove.items() if name.startswith("Plot!")]
+    shown = [p["value"].replace(".points[0].", " ") for plot in plots for p in plot["paths"]]
     plotjuggler = ElementTree.parse(layouts / "plotjuggler.xml")
     curves = [c.get("name").replace("/points[0]/", " ") for c in plotjuggler.iter("curve")]
     assert shown == curves

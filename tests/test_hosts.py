@@ -127,9 +127,8 @@ def test_a_cut_link_ends_the_test_and_both_hosts_say_why(two_hosts, rig_host):
     _, errors = run.communicate(timeout=PATIENCE)
     assert run.returncode == 1
     assert "has been silent since" in errors.splitlines()[-1]
-    for process, why in zip(
-        on_b, ("supervisor has been silent", "(the last is of step"), strict=True
-    ):
+    reasons = ("supervisor has been silent", "(the last is of step")
+    for process, why in zip(on_b, reasons, strict=True):
         process.terminate()
         assert why in process.communicate(timeout=PATIENCE)[1]
 

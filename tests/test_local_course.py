@@ -87,12 +87,9 @@ def test_live_parameters_may_be_set_and_others_not(local_graph):
         graph.set_parameter("recorder", "use_sim_time", True)
     with pytest.raises(InputError, match="name"):
         graph.set_parameter("recorder", "name", "a/b")
-    described = [
-        decode_description(sent.raw)
-        for sent in graph.graph.sent
-        if (sent.node, sent.topic) == ("recorder", DESCRIPTION.name)
-    ]
-    assert [facts["parameters"]["name"] for _, facts in described] == ["", "next"]
+    wanted = ("recorder", DESCRIPTION.name)
+    raws = [sent.raw for sent in graph.graph.sent if (sent.node, sent.topic) == wanted]
+    assert [decode_description(raw)[1]["parameters"]["name"] for raw in raws] == ["", "next"]
 
 
 def test_nodes_that_find_each_other_late_wait_until_all_are_connected(local_graph):

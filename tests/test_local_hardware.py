@@ -150,14 +150,10 @@ def test_a_test_waits_for_hardware_that_fails_and_says_why(hosting):
 
 def test_one_of_two_rigs_hosts_hardware_and_the_other_is_simulated(local_graph, tmp_path):
     boards.CALLS.clear()
-    text = BRIDGE.read_text()
-    file = tmp_path / "east.yaml"
-    file.write_text(
-        text.replace("    pace: realtime", "    pace: realtime\n    hardware: boards:Board")
-    )
-    graph = local_graph(
-        THREE_SECONDS, config=BRIDGE, nodes=RIGS_NODES, own_files={"east/rig": [file]}
-    )
+    pace, file = "    pace: realtime", tmp_path / "east.yaml"
+    file.write_text(BRIDGE.read_text().replace(pace, f"{pace}\n    hardware: boards:Board"))
+    own = {"east/rig": [file]}
+    graph = local_graph(THREE_SECONDS, config=BRIDGE, nodes=RIGS_NODES, own_files=own)
     perform(graph)
     reported = graph.until(lambda: graph.status("east/rig").get("stop time (s)"))
     assert float(reported) > 0.0
@@ -189,7 +185,7 @@ def test_a_rig_that_is_not_made_safe_is_said_not_to_be_at_rest(hosting):
     ("name", "says"),
     [
         ("boards:WithoutSafe", "rig: hardware: boards:WithoutSafe has no method safe"),
-        ("boards:Broken", "rig: hardware: boards:Broken line 164 can't be made: no board"),
+        ("boards:Broken", "rig: hardware: boards:Broken line 166 can't be made: no board"),
         ("boards:Nothing", "rig: hardware is boards:Nothing, but"),
         ("nothing.py:Board", "rig: hardware is nothing.py:Board, but there is no file nothing.py"),
         ("unknown", "rig: hardware is 'unknown', but must be FILE.py:CLASS"),
@@ -213,6 +209,5 @@ def test_faults_are_those_of_a_simulated_rig(hosting, capfd):
 def test_hardware_that_can_not_wait_is_refused_in_lockstep(hosting, capfd):
     graph = hosting("Board", "rig:pace:=lockstep")
     graph.run(0.1)
-    assert "hardware boards:Board can't wait for a command; make pace realtime" in (
-        capfd.readouterr().err
-    )
+    why = "hardware boards:Board can't wait for a command; make pace realtime"
+    assert why in capfd.readouterr().err

@@ -21,18 +21,15 @@ FOREIGN = encode_state(ExperimentState(State.TRIPPED, "a lie", step=7))
 def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name):
     """Also of a node that has joined under the name of one of the test's."""
     graph = running(LONG, f"recorder:directory:={tmp_path}", nodes=(*NODES, "recorder"))
-    monitor = Follower(
-        MemoryEndpoint(graph.graph, "monitor"),
-        dict.fromkeys((EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION), 64),
-        clock=graph.graph.clock,
-    )
+    endpoint = MemoryEndpoint(graph.graph, "monitor")
+    followed = dict.fromkeys((EXPERIMENT_STATE, DIAGNOSTICS, DESCRIPTION), 64)
+    monitor = Follower(endpoint, followed, clock=graph.graph.clock)
     heard = []
 
     def watch():
         """What a monitor, and `seft run`, make of the test."""
-        heard.extend(
-            each.raw for topic in (DIAGNOSTICS, DESCRIPTION) for each in monitor.take(topic)
-        )
+        for topic in (DIAGNOSTICS, DESCRIPTION):
+            heard.extend(each.raw for each in monitor.take(topic))
         heard.extend(states := [each.raw for each in monitor.take(EXPERIMENT_STATE)])
         return decode_state(states[-1]).detail
 

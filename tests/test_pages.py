@@ -34,12 +34,8 @@ def look_at(browser, page, width):
     )
     errors = [e["message"] for e in browser.get_log("browser") if e["level"] != "INFO"]
     messages = [json.loads(e["message"])["message"] for e in browser.get_log("performance")]
-    asked = [
-        m["params"]["request"]["url"]
-        for m in messages
-        if m["method"] == "Network.requestWillBeSent"
-    ]
-    return browser.execute_script(DRAWN), errors, asked
+    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    return browser.execute_script(DRAWN), errors, [one["request"]["url"] for one in sent]
 
 
 def check_page(browser, page, least_figures):

@@ -38,14 +38,9 @@ def drawn(n, seed):
     w, damping = 2 * np.pi * rng.uniform(3.0, 12.0, n), rng.uniform(0.02, 0.06, n)
     modes = turned(rng, root)
     others = turned(rng, root)  # what is computed is coupled in another way
-    stiffness, damping, computed = (
-        (matrix + matrix.T) / 2
-        for matrix in (
-            modes @ np.diag(w**2) @ modes.T,
-            modes @ np.diag(2 * damping * w) @ modes.T,
-            others @ np.diag(rng.uniform(0.5, 1.5, n)) @ others.T,
-        )
-    )
+    stiffness, damping = ((modes * row) @ modes.T for row in (w**2, 2 * damping * w))
+    computed = (others * rng.uniform(0.5, 1.5, n)) @ others.T
+    stiffness, damping, computed = ((m + m.T) / 2 for m in (stiffness, damping, computed))
     specimen = {"mass": mass, "stiffness": stiffness, "damping": damping}
     return overrides(specimen, {"reference_force:computed.mass": computed})
 

@@ -34,11 +34,9 @@ def why_not():
     made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True)
     if made.returncode:
         return f"no network namespaces: {made.stderr.strip()}"
-    entered = subprocess.run(
-        ["ip", "netns", "exec", name, "mount", "-t", "tmpfs", "tmpfs", "/dev/shm"],
-        capture_output=True,
-        text=True,
-    )
+    mount = ["mount", "-t", "tmpfs", "tmpfs", "/dev/shm"]
+    words = ["ip", "netns", "exec", name, *mount]
+    entered = subprocess.run(words, capture_output=True, text=True)
     subprocess.run(["ip", "netns", "del", name], check=True)
     return f"no mounts of one's own: {entered.stderr.strip()}" if entered.returncode else ""
 
@@ -88,18 +86,11 @@ class TwoHosts:
         command = ["nsenter", "--target", str(self._holders[host].pid), "--net", "--mount"]
         command += [f"--wd={self.folder}", sys.executable, "-m"]
         here = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-        environment = os.environ | {
-            "PYTHONPATH": here,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(NETWORK),
-        }
-        process = subprocess.Popen(
-            [*command, *map(str, words)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
+        ros = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+        ros["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(NETWORK)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        environment = os.environ | {"PYTHONPATH": here} | ros
+        process = subprocess.Popen([*command, *map(str, words)], env=environment, **pipes)
         self._processes.append(process)
         if prompt:
             promptly(process.pid)  # it has one thread yet; its others and its children inherit it

@@ -148,11 +148,8 @@ def test_the_file_at_fault_is_named(load, tmp_path, text):
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x01")
-    for path, said in (
-        (tmp_path / "none.yaml", "No such file"),
-        (tmp_path, "Is a directory"),
-        (binary, "not a text file"),
-    ):
+    missing = tmp_path / "none.yaml", "No such file"
+    for path, said in missing, (tmp_path, "Is a directory"), (binary, "not a text file"):
         with pytest.raises(InputError, match=said) as caught:
             read_parameter_file(path)
         assert str(caught.value).startswith(f"{path}:")
@@ -264,9 +261,8 @@ def test_sections_that_differ_in_a_fact_are_refused(load):
     ],
 )
 def test_a_name_that_is_given_twice_in_a_file_is_refused(load, tmp_path, text):
-    assert refusal(load, HAS_MASS + text) == (
-        f"{tmp_path / '0.yaml'}: rig safe.close_time is given twice"
-    )
+    path = tmp_path / "0.yaml"
+    assert refusal(load, HAS_MASS + text) == f"{path}: rig safe.close_time is given twice"
 
 
 def test_a_node_may_have_sections_with_and_without_a_slash(load):
@@ -276,24 +272,17 @@ def test_a_node_may_have_sections_with_and_without_a_slash(load):
 
 @pytest.mark.parametrize("place", ["/**", "rig"])
 def test_what_ros_gives_each_node_is_left_to_it_but_for_its_clock(load, place):
-    of_ros = (
-        "use_sim_time: false",
-        "start_type_description_service: false",
-        "qos_overrides./rig/state.publisher.depth: 9",
-    )
-    text = f"{place}: {{ros__parameters: {{specimen.mass: 1, {', '.join(of_ros)}}}}}"
+    of_ros = "use_sim_time: false, start_type_description_service: false"
+    of_ros += ", qos_overrides./rig/state.publisher.depth: 9"
+    text = f"{place}: {{ros__parameters: {{specimen.mass: 1, {of_ros}}}}}"
     text = text if place == "/**" else HAS_MASS + text.replace("specimen.mass: 1, ", "")
     assert load(text)["rig"].keys() == RIG.rows.keys()
     said = refusal(load, text.replace("use_sim_time: false", "use_sim_time: true"))
     assert f"{place}: use_sim_time is true, but nodes of seft follow the samples of the" in said
 
 
-NAMES = st.lists(
-    st.sampled_from(["x", "y", "n", "on", "1", "1e5", "null", "größe", "a b", "~", "- x", "#"]),
-    min_size=1,
-    max_size=3,
-    unique=True,
-)
+NAME = st.sampled_from(["x", "y", "n", "on", "1", "1e5", "null", "größe", "a b", "~", "- x", "#"])
+NAMES = st.lists(NAME, min_size=1, max_size=3, unique=True)
 NUMBERS = st.floats(1e-30, 1e30)
 
 
@@ -383,9 +372,8 @@ def test_a_file_is_written_anew_only_where_that_is_asked_for(tmp_path):
 
 def test_what_is_written_is_read_by_ros_itself(load, tmp_path):
     pytest.importorskip("rclpy")
-    experiment = load(
-        everywhere('axes: [x, "y", "on", "12"], specimen.mass: [5.0e-6, 1.0e+22, 3, 4], seed: 2')
-    )
+    mass = "specimen.mass: [5.0e-6, 1.0e+22, 3, 4]"
+    experiment = load(everywhere(f'axes: [x, "y", "on", "12"], {mass}, seed: 2'))
     path = tmp_path / "written.yaml"
     path.write_text(parameter_text(experiment.by_place()))
     done = subprocess.run(

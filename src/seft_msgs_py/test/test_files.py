@@ -17,11 +17,9 @@ def pipe(tmp_path):
 
 def test_a_device_and_a_folder_are_not_read_and_a_pipe_is_not_waited_for(pipe, monkeypatch):
     monkeypatch.setattr(files, "PIPE_WITHIN", 0.05)
-    for path, message in (
-        ("/dev/zero", "is no regular file"),
-        (pipe.parent, "Is a directory"),
-        (pipe, "nobody has written to this pipe within 0.05 s"),
-    ):
+    nobody = "nobody has written to this pipe within 0.05 s"
+    no_file, folder = ("/dev/zero", "is no regular file"), (pipe.parent, "Is a directory")
+    for path, message in no_file, folder, (pipe, nobody):
         with pytest.raises(InputError, match=message):
             read_parameter_file(path)
     with pytest.raises(OSError, match="is no regular file"):

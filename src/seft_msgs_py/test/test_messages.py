@@ -39,9 +39,8 @@ DECODERS = (
     messages.decode_diagnostics,
     messages.decode_clock,
 )
-RIG = messages.Status(
-    "rig", messages.WARN, "3 steps late", "paper's rig", {"missed": "3", "phase": "running"}
-)
+VALUES = {"missed": "3", "phase": "running"}
+RIG = messages.Status("rig", messages.WARN, "3 steps late", "paper's rig", VALUES)
 ENCODED = (
     messages.encode_string("größer"),
     messages.encode_status(RIG),
@@ -208,11 +207,7 @@ def statuses(north, east, names=AXES):
         (0, statuses({"a": "1"}, {"a": "2"}, ("east", "north")), "statuses are"),
         (0, statuses({}, {}), "at least one"),
         (0, statuses({"a": "1"}, {"b": "2"}), "the same estimates"),
-        (
-            0,
-            statuses({"a": "1"}, {"a": "2 ms"}),
-            "a of reference_force: east is 2 ms, but must be a finite",
-        ),
+        (0, statuses({"a": "1"}, {"a": "2 ms"}), "a of reference_force: east is 2 ms, but must be"),
         (0, statuses({"a": "inf"}, {"a": "2"}), "a of reference_force: north is inf"),
     ],
 )

@@ -23,9 +23,8 @@ sys.exit(unbroken("many", main))
 
 
 def test_control_characters_are_escaped_and_lines_and_letters_stay():
-    assert escaped("täglich\n\x1b[31mred\x07 \u202e\udcff") == (
-        "täglich\n\\x1b[31mred\\x07 \\u202e\\udcff"
-    )
+    shown = "täglich\n\\x1b[31mred\\x07 \\u202e\\udcff"
+    assert escaped("täglich\n\x1b[31mred\x07 \u202e\udcff") == shown
     assert str(InputError("a\nb\x1b]0;title")) == "a b\\x1b]0;title"
 
 

@@ -41,7 +41,7 @@ def test_a_parameter_takes_names_of_others_and_tells_them_apart_from_ours(group)
         ("", 1.0),
         ("gain=2.5", 2.5),
         ("gain=[1,2.5]", [1, 2.5]),
-        ("gain=high", "high"),
+        ("gain=a", "a"),
         ("'gain=a b'", "a b"),
     ],
 )
@@ -68,7 +68,5 @@ def test_a_file_may_import_its_neighbours(group, tmp_path, monkeypatch):
     folder = tmp_path / "driver"
     folder.mkdir()
     (folder / "its_board.py").write_text("VOLTS = 10.0\n")
-    (folder / "driver.py").write_text(
-        "from its_board import VOLTS\n\n\ndef make():\n    return VOLTS\n"
-    )
+    (folder / "driver.py").write_text("import its_board\ndef make(): return its_board.VOLTS\n")
     assert group.make(f"{folder / 'driver.py'}:make", "", "rig: hardware") == 10.0

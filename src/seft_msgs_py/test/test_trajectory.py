@@ -15,12 +15,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E
 
 TIMEBASE = topics.Timebase.from_rate(500.0)
 DAYS = 7 * 24 * 3600 * 500  # in steps
-AXES = st.lists(
-    st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1),
-    min_size=1,
-    max_size=12,
-    unique=True,
-)
+LETTERS = st.characters(exclude_categories=["Cs"], exclude_characters="\x00")
+AXES = st.lists(st.text(LETTERS, min_size=1), min_size=1, max_size=12, unique=True)
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
 
@@ -29,9 +25,8 @@ NOT_FINITE = st.sampled_from([np.nan, np.inf, -np.inf])
 def messages(draw, most_points=4):
     """A codec, a step, and values of shape (p, q, n)."""
     timebase = draw(st.sampled_from([TIMEBASE, topics.Timebase.from_rate(4096.0)]))
-    codec = TrajectoryCodec(
-        draw(st.sampled_from((*topics.LOOP_TOPICS, topics.TARGET))), draw(AXES), timebase
-    )
+    topic = draw(st.sampled_from((*topics.LOOP_TOPICS, topics.TARGET)))
+    codec = TrajectoryCodec(topic, draw(AXES), timebase)
     count = 1 if topics.DRIVE in codec.topic.quantities else draw(st.integers(1, most_points))
     shape = count, len(codec.topic.quantities), len(codec.axes)
     return codec, draw(st.integers(0, DAYS)), draw(arrays(np.float64, shape, elements=FINITE))

@@ -72,10 +72,8 @@ class BareRig(SimulatedRig):
 
     def __init__(self, model, dt, *, linear=False):
         if linear:
-            sensed = model.sensed
-            model = ContinuousModel.linear(
-                model.a, model.b, model.c, model.d, model.delay, model.drive
-            )
+            sensed, parts = model.sensed, ("a", "b", "c", "d", "delay", "drive")
+            model = ContinuousModel.linear(*(getattr(model, name) for name in parts))
             if sensed:
                 model = replace(model, sensed=replace(sensed, outputs=sensed.outputs[:, :0]))
         n = model.b.shape[1]

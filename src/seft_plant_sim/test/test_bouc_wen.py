@@ -11,9 +11,8 @@ from springs_at_hand import A, Y, hysteretic, spring, through
 
 
 def bouc_wen(n=1.0, **changes):
-    return spring(
-        "bouc_wen", bouc_wen__exponent=n, **{f"bouc_wen__{k}": v for k, v in changes.items()}
-    )
+    values = {f"bouc_wen__{k}": v for k, v in changes.items()}
+    return spring("bouc_wen", bouc_wen__exponent=n, **values)
 
 
 @pytest.mark.parametrize("n", [1.0, 1.4, 2.0, 3.0, 7.5, 20.0])

@@ -198,12 +198,10 @@ def test_what_is_no_number_or_at_the_end_of_the_range_is_corrected_and_leaves_no
     for value in (np.nan, np.inf, 9.0, -9.0):
         wrong = samples.copy()
         wrong[300, A] = value
-        found = corrected(
-            wrong, force_lag=0.0047, acceleration_scale=1.01, ranges=np.full((4, 1), 9.0)
-        )
-        np.testing.assert_equal(
-            found[302, A, 0], value / 1.01
-        )  # after the whole samples of its wait
+        ranges = np.full((4, 1), 9.0)
+        found = corrected(wrong, force_lag=0.0047, acceleration_scale=1.01, ranges=ranges)
+        # after the whole samples of its wait
+        np.testing.assert_equal(found[302, A, 0], value / 1.01)
         assert np.isfinite(np.delete(found, 302, axis=0)).all()
         np.testing.assert_allclose(found[340:], fault_free[340:], atol=1e-9)
 

@@ -85,10 +85,9 @@ def test_the_response_is_that_of_the_assembled_structure(seed, axes, internal):
     scale, solved = np.abs(solved).max(), solved.reshape(steps, axes)
     np.testing.assert_allclose(found.displacement, solved, rtol=0, atol=1e-9 * scale)
 
-    own = values["specimen.damping"] @ found.velocity.T + values["specimen.stiffness"] @ (
-        found.displacement.T
-    )
-    expected = values["specimen.mass"] @ found.acceleration.T + own  # what moves the specimen so
+    m, c, k = (values[f"specimen.{name}"] for name in ("mass", "damping", "stiffness"))
+    # what moves the specimen so
+    expected = m @ found.acceleration.T + c @ found.velocity.T + k @ found.displacement.T
     np.testing.assert_allclose(found.force, expected.T, rtol=0, atol=1e-9 * np.abs(expected).max())
     running = RunningResponse(test)
     pieces = [running.advance(piece) for piece in np.array_split(ground, 3)]
@@ -112,10 +111,8 @@ def test_without_inertial_coupling_it_is_the_same_structure(seed, axes, internal
             dynamic = s * s * part.mass + s * part.damping + part.stiffness
             pushed = part.mass @ np.vstack([np.eye(axes), part.influence])
             inner = np.linalg.inv(dynamic[axes:, axes:])
-            by_motion = (
-                dynamic[:axes, :axes] - dynamic[:axes, axes:] @ inner @ dynamic[axes:, :axes]
-            )
-            by_ground = pushed[:axes] - dynamic[:axes, axes:] @ inner @ pushed[axes:]
-            return np.hstack([by_motion, by_ground])
+            carried = dynamic[:axes, axes:] @ inner
+            by_motion = dynamic[:axes, :axes] - carried @ dynamic[axes:, :axes]
+            return np.hstack([by_motion, pushed[:axes] - carried @ pushed[axes:]])
 
         np.testing.assert_allclose(force(found), force(whole), rtol=1e-8)

@@ -13,11 +13,8 @@ def measured(states, cutoff=100.0, **rows):
     nothing, no_end = np.zeros((4, 1)), np.full((4, 1), np.inf)
     values = {"bias": nothing, "range": no_end, "resolution": nothing}
     channels = Channels(nothing, **(values | rows))
-    section = {
-        "sensors.velocity": "derived",
-        "sensors.acceleration": "measured",
-        "sensors.velocity_cutoff": cutoff,
-    }
+    section = {"sensors.velocity": "derived", "sensors.acceleration": "measured"}
+    section["sensors.velocity_cutoff"] = cutoff
     derivation = Derivation.from_parameters(section, DT)
     samples = np.zeros(states.shape)
     for step, state in enumerate(states):

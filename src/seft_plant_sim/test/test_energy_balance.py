@@ -60,9 +60,8 @@ def balance_of(specimen, samples, **options):
 def test_the_balance_of_true_samples_closes(kind, motion, law):
     """To 0.2 % of the largest input at any time, whatever the actuator and the specimen."""
     drive, law = drive_of(motion), LAWS[law]
-    held, late = {"ideal": ({"held": 1.0}, 0.0), "delay": ({"held": 0.65}, 0.0033)}.get(
-        kind, ({}, 0.0)
-    )
+    shares = {"ideal": ({"held": 1.0}, 0.0), "delay": ({"held": 0.65}, 0.0033)}
+    held, late = shares.get(kind, ({}, 0.0))
     amplitude = 900.0 if held else 4.0
     specimen, samples = shaken_rig(amplitude * drive, law, kind, delay=late)
     balance = balance_of(specimen, samples, **held)

@@ -42,9 +42,8 @@ def test_a_specimen_collides_where_it_is_in_the_direction_in_which_it_moves(side
     begun = found[1000]
     assert abs(begun) == pytest.approx(1e-3, rel=0.03)
     assert found[-1] == pytest.approx((side * 422.0 + K * begun) / (2.0 * K), rel=1e-6)
-    back = driven(
-        rig("specimen collide 2.11e5 at 2", **DAMPED), [*force, *np.full(900, -side * 422)]
-    )
+    there_and_back = [*force, *np.full(900, -side * 422)]
+    back = driven(rig("specimen collide 2.11e5 at 2", **DAMPED), there_and_back)
     assert back[-1, 0, 0] == pytest.approx(-side * 2e-3, rel=1e-6)  # it holds one side alone
 
 
@@ -71,9 +70,8 @@ def test_a_linear_frame_becomes_springs_that_add_up_to_it():
     k = np.diag([spring.stiffness for spring in found.springs])
     np.testing.assert_allclose(found.deformation.T @ k @ found.deformation, specimen.stiffness)
     np.testing.assert_array_equal(found.stiffness, specimen.stiffness)
-    assert failing_specimen(
-        read_faults("force flip at 1", axes), RigAxes.whole(axes), specimen
-    ) is (specimen)
+    given = read_faults("force flip at 1", axes)
+    assert failing_specimen(given, RigAxes.whole(axes), specimen) is specimen
 
 
 def test_a_storey_breaks():

@@ -123,9 +123,8 @@ def solved(specimen, actuator, commands, cutoff=0.0):
             x, v, p, _, _, z, y, _ = np.split(state, ends)
             result.append(y if cutoff else outputs(x, v, p, z, u))
         if end is not None:
-            state = solve_ivp(
-                slope, (begin, end), state, "DOP853", args=(u,), rtol=1e-7, atol=1e-10
-            ).y[:, -1]
+            how = {"method": "DOP853", "rtol": 1e-7, "atol": 1e-10}
+            state = solve_ivp(slope, (begin, end), state, args=(u,), **how).y[:, -1]
     return np.reshape(result, (count + 1, 4, n))
 
 

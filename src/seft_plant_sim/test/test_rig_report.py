@@ -17,9 +17,8 @@ def times(*found):
 
 def report(margins=None, phase="running", trip=None, missed=0, last=(), age=math.nan, stopped=None):
     outcome = Outcome(phase, 100, missed, list(range(missed)), 1.0, trip)
-    guard = SimpleNamespace(
-        nearest=("oil", 0.5), limits=SimpleNamespace(margins=lambda: margins or {})
-    )
+    limits = SimpleNamespace(margins=lambda: margins or {})
+    guard = SimpleNamespace(nearest=("oil", 0.5), limits=limits)
     rig = SimpleNamespace(hardware=SimpleNamespace(counts={"lost": 2}), guard=guard)
     return rig_report(outcome, rig, times(5e-5), times(*last), age, stopped)
 

@@ -119,9 +119,7 @@ def test_a_derived_velocity_inherits_the_displacements_lag():
 def test_a_tilt_between_rigs_is_refused():
     axes = ("east/x", "west/x")
     words = [("/**", "axes", list(axes)), ("rig", "simulated.sensors.tilt", [1.0, 0.02, 0.0, 1.0])]
-    words += [
-        ("/**", f"specimen.{name}", value) for name, value in (("mass", 50.0), ("stiffness", 2e5))
-    ]
+    words += [("/**", "specimen.mass", 50.0), ("/**", "specimen.stiffness", 2e5)]
     experiment = Experiment.load([RIG_TABLE], [], words, nodes=["rig"])
     with pytest.raises(InputError, match=r"sensors.tilt \[\[1.0, 0.02\], .* different rigs"):
         Rig(experiment["rig"], axes, experiment.timebase, rigs_of(axes)[0])

@@ -99,11 +99,11 @@ def test_parameters_are_one_number_or_one_for_each_axis():
     same = from_parameters(**dict.fromkeys(names, 2.0))
     np.testing.assert_array_equal(same.measure(4, 0 * STATE), noise([4], np.full((4, 2), 2.0))[0])
     true = "rig: simulated."
-    for place, name in (
-        (true, "force_noise"),
-        (true, "displacement_bias"),
-        ("/**: ", "acceleration_range"),
-    ):
+    for name, place in {
+        "force_noise": true,
+        "displacement_bias": true,
+        "force_range": "/**: ",
+    }.items():
         with pytest.raises(InputError) as refused:
             from_parameters(**{name: [1.0, 2.0, 3.0]})
         assert str(refused.value).startswith(f"{place}sensors.{name}: 3 values for 2 axes")

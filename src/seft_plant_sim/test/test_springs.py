@@ -94,10 +94,8 @@ def test_a_duffing_spring_is_cubic_and_softens_no_further_than_its_largest_force
 
 def test_without_slip_pinching_is_bouc_wen():
     path = through(0, 2, -3, 4, -1, 2, points=300)
-    none = spring("pinching", pinching__slip=0.0, **OWN_BOUC_WEN)
-    np.testing.assert_array_equal(
-        none.follow(path), spring("bouc_wen", **OWN_BOUC_WEN).follow(path)
-    )
+    none = spring("pinching", pinching__slip=0.0, **OWN_BOUC_WEN).follow(path)
+    np.testing.assert_array_equal(none, spring("bouc_wen", **OWN_BOUC_WEN).follow(path))
 
 
 def test_pinching_slips_by_twice_its_length_at_each_passage_through_zero_force():
@@ -118,9 +116,8 @@ def test_a_path_in_small_steps_and_in_large_ones_is_the_same_loop(name):
     coarse = made.follow(through(0, 3, -2, 4, 0, points=5))
     fine = made.follow(through(0, 3, -2, 4, 0, points=4001))[:, ::1000]
     largest = np.maximum(np.abs(coarse).max(axis=1, keepdims=True), 1e-9)
-    np.testing.assert_allclose(
-        fine / largest, coarse / largest, atol=1e-12 if name in EXACT else 2e-5
-    )
+    within = 1e-12 if name in EXACT else 2e-5
+    np.testing.assert_allclose(fine / largest, coarse / largest, atol=within)
 
 
 PATHS = st.lists(st.floats(-5, 5), min_size=1, max_size=12)

@@ -20,9 +20,7 @@ def force_section(**values):
 
 def compensator(method, axes=("x",), rate=500, settings=(), delay=DELAY, **values):
     """Compensator of these parameters, of its settings, and for a delay, with the loop's."""
-    own = " ".join(
-        f"{name}={json.dumps(v, separators=(',', ':'))}" for name, v in dict(settings).items()
-    )
+    own = " ".join(f"'{name}={json.dumps(v)}'" for name, v in dict(settings).items())
     paper = {"axes": list(axes), "specimen__damping": C, "mass_ratio": 1.0}
     paper["actuator__delay"] = delay - 1.5 / rate
     method_words = {"compensation__method": method, "compensation__settings": own}

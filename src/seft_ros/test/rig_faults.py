@@ -29,11 +29,8 @@ _OTHERS = {
     "cable of all sensors broken": tuple(f"{channel} set 0" for channel in CHANNELS),
 }
 _DEAD = "axes dead but for noise"
-FAULTS = (
-    *(f"{channel} {fault}" for channel in CHANNELS for fault in SENSOR_FAULTS),
-    *_OTHERS,
-    _DEAD,
-)
+_OF_SENSORS = (f"{channel} {fault}" for channel in CHANNELS for fault in SENSOR_FAULTS)
+FAULTS = (*_OF_SENSORS, *_OTHERS, _DEAD)
 
 
 def lines_of(fault, time, noise, largest):

@@ -48,12 +48,12 @@ def scaled(mass, oil_hz, rate, hz, mass_ratio, leakage, zeta):
     dt, unit = response_of((*words, f"ground_motion:peak_force:={float(mass)}"))
     factor = min(TRAVEL / np.abs(unit[0]).max(), SPEED / np.abs(unit[1]).max())
     words.append(f"ground_motion:peak_force:={factor * mass}")
-    x, v, a, f = factor * unit
+    _, v, _, f = factor * unit
     oil = mass * (2 * math.pi * oil_hz) ** 2
     flow = np.abs(v + (np.gradient(f, dt) + leakage * f) / oil).max()
     capacity = max(np.abs(f).max() / SHARE, COMPRESSION * oil)
     gain = flow / (OPENING * 10.0 * math.sqrt(1.0 - SHARE))
-    return tuple(words), gain, oil, capacity, [float(np.abs(each).max()) for each in (x, v, a, f)]
+    return tuple(words), gain, oil, capacity, np.abs(factor * unit).max(axis=1)
 
 
 def scaled_rig(
@@ -85,30 +85,19 @@ def scaled_rig(
         "oil_stiffness": oil * (1.0 + oil_error),
         "dead_time": DEAD_TIME + max(dead_time_error, 0.0),
     }
+    noises = noise * np.array((5e-6, 1e-3, 0.05, 3.0)) * peaks / demo_peaks()
     values = {
         "rig:simulated.actuator": true | {"stroke": 5.0 * peaks[0]},
         "actuator": known,
         "sensors": {
-            **{f"{name}_range": 5.0 * peak for name, peak in zip(CHANNELS, peaks, strict=True)},
-            **{
-                f"{name}_noise": noise * least * peak / of_demo
-                for name, least, peak, of_demo in zip(
-                    CHANNELS, (5e-6, 1e-3, 0.05, 3.0), peaks, demo_peaks(), strict=True
-                )
-            },
+            **dict(zip((f"{name}_range" for name in CHANNELS), 5.0 * peaks, strict=True)),
+            **dict(zip((f"{name}_noise" for name in CHANNELS), noises, strict=True)),
         },
-        "limits": {
-            "displacement": 4.0 * peaks[0],
-            "velocity": 4.0 * peaks[1],
-            "acceleration": 4.5 * peaks[2],
-            "force": 2.5 * peaks[3],
-        },
+        "limits": dict(zip(CHANNELS, (4.0, 4.0, 4.5, 2.5) * peaks, strict=True)),
     }
     more = [f"rig:seed:={seed}", f"rig:simulated.specimen.kind:={kind}"]
     if kind != "linear":
         more.append(f"rig:simulated.specimen.yield_displacement:={YIELDS * peaks[0]}")
-    return [
-        *words,
-        *more,
-        *(f"{group}.{name}:={value}" for group, of in values.items() for name, value in of.items()),
-    ]
+    for group, of in values.items():
+        more += [f"{group}.{name}:={value}" for name, value in of.items()]
+    return [*words, *more]

@@ -152,11 +152,7 @@ def test_what_is_no_bag_is_an_input_error(tmp_path):
     (tmp_path / "folder").mkdir()
     for name in ("file.txt", "text.mcap", "text.db3"):
         (tmp_path / name).write_text("no bag")
-    for name, reason in {
-        "none": "no such bag",
-        "folder": "no bag",
-        "file.txt": "not a bag",
-    }.items():
+    for name, reason in ("none", "no such bag"), ("folder", "no bag"), ("file.txt", "not a bag"):
         with pytest.raises(InputError, match=reason):
             recover_bag(tmp_path / name)
     for name in ("text.mcap", "text.db3"):

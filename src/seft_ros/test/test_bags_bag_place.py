@@ -62,7 +62,6 @@ def test_a_limit_of_the_size_of_a_file_is_reported(tmp_path, monkeypatch):
 
 
 def test_a_disk_without_room_for_the_bag_is_reported(tmp_path):
-    assert asked_on("size=10m", tmp_path, "bag") == (
-        f"{tmp_path} has room for 10 MB, and the bag needs 17 MB"
-    )
+    why = f"{tmp_path} has room for 10 MB, and the bag needs 17 MB"
+    assert asked_on("size=10m", tmp_path, "bag") == why
     assert asked_on("size=20m", tmp_path, "bag") == ""

@@ -28,10 +28,8 @@ def states(step):
 
 def description(nodes=NODES, environment=ENVIRONMENT):
     parts = [{"node": node, "parameters": p, "fact": 1} for node, p in nodes.items()]
-    return [
-        (topics.DESCRIPTION, encode_string(json.dumps(p)))
-        for p in [*parts, {"environment": environment}]
-    ]
+    parts.append({"environment": environment})
+    return [(topics.DESCRIPTION, encode_string(json.dumps(part))) for part in parts]
 
 
 def motion(first_step, count):
@@ -121,9 +119,8 @@ def test_estimates_that_do_not_fit_the_test_are_left_out_and_counted(tmp_path):
         foreign.encode(150, {"delay": np.zeros(1)}),
         b"\x00\x01\x00\x00garbage",
     ]
-    recording = read_bag(
-        write(tmp_path / "bag", [*TEST, *((topics.ESTIMATES, raw) for raw in messages)])
-    )
+    estimates = [(topics.ESTIMATES, raw) for raw in messages]
+    recording = read_bag(write(tmp_path / "bag", [*TEST, *estimates]))
     assert recording.estimates.names == ("delay",)
     assert recording.estimates.steps.tolist() == [0, 50]
     assert recording.estimates.values.tolist() == [[[0.01, 0.02]]] * 2
@@ -199,9 +196,8 @@ def test_a_bag_of_another_recorder_is_read_also_in_a_namespace(tmp_path, prefix)
 
 def test_tests_in_two_namespaces_are_an_input_error(tmp_path):
     raw = description()[0][1]
-    messages = [
-        (f"{name}/experiment/description", topics.STRING, START, raw) for name in ("/a", "/b")
-    ]
+    names = ("/a/experiment/description", "/b/experiment/description")
+    messages = [(name, topics.STRING, START, raw) for name in names]
     write_stock_bag(tmp_path / "bag", messages)
     with pytest.raises(InputError, match="several tests, in /a/, /b/"):
         read_bag(tmp_path / "bag")

@@ -17,11 +17,9 @@ needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not i
 @pytest.fixture
 def checkout(tmp_path):
     def git(*arguments):
-        subprocess.run(
-            ["git", "-C", tmp_path, "-c", "user.name=n", "-c", "user.email=e", *arguments],
-            check=True,
-            capture_output=True,
-        )
+        who = ("-c", "user.name=n", "-c", "user.email=e")
+        words = ["git", "-C", tmp_path, *who, *arguments]
+        subprocess.run(words, check=True, capture_output=True)
 
     git("init")
     (tmp_path / "code.py").write_text("a = 1\n")
@@ -33,9 +31,8 @@ def checkout(tmp_path):
 
 
 def test_environment_is_json_and_tells_mode_start_and_versions():
-    environment = json.loads(
-        json.dumps(recording.describe_environment("lockstep"), allow_nan=False)
-    )
+    described = recording.describe_environment("lockstep")
+    environment = json.loads(json.dumps(described, allow_nan=False))
     assert environment["mode"] == "lockstep"
     start = datetime.fromisoformat(environment["start"])
     assert start.tzinfo is not None

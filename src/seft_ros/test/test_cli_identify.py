@@ -77,9 +77,8 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
     assert found["plant_pole_hz"] == pytest.approx(pole.hz, rel=0.005)
     assert found["plant_pole_damping"] == pytest.approx(pole.damping, rel=0.15)
     assert found["delay_s"] == pytest.approx(measures.delay_s, rel=0.02)
-    assert found["closed_loop_flat_to_hz"] == pytest.approx(
-        measures.closed_loop_flat_to_hz, rel=0.03
-    )
+    flat_to = pytest.approx(measures.closed_loop_flat_to_hz, rel=0.03)
+    assert found["closed_loop_flat_to_hz"] == flat_to
     assert found["bandwidth_hz"] == pytest.approx(measures.bandwidth_hz, rel=0.02)
     tests = ("pilot", "open_loop", "multisine_pilot", "multisine", "closed_loop")
     assert found["tripped"] == dict.fromkeys(tests)
@@ -234,12 +233,8 @@ def test_a_rig_without_a_valve_has_the_closed_loop_only(identify, tmp_path):
 @pytest.mark.thorough
 @pytest.mark.offline
 def test_several_axes_have_their_numbers_each(identify, tmp_path):
-    overrides = (
-        *LINEAR,
-        "axes:=[north, east]",
-        "rig:simulated.specimen.stiffness:=[2.1e5, -3.0e4, -3.0e4, 2.0e5]",
-        "specimen.mass:=[52.7, 50.0]",
-    )
+    stiffness = "rig:simulated.specimen.stiffness:=[2.1e5, -3.0e4, -3.0e4, 2.0e5]"
+    overrides = (*LINEAR, "axes:=[north, east]", stiffness, "specimen.mass:=[52.7, 50.0]")
     words = (*BRIEF, "--specimen", "--out", "out")
     status, found, _ = identify(*words, overrides=overrides)
     assert status == 0
@@ -286,7 +281,7 @@ def test_a_mass_that_is_known_tells_the_scale_of_the_load_cell(once_more):
         (("--known-force", "1000", "1030"), "--known-force is that of the multisine test: give"),
         (
             ("--specimen", "--known-force", "1000", "-1030"),
-            "the load cell must show a load of the same sign",
+            "load cell must show a load of the same",
         ),
     ],
 )

@@ -92,9 +92,8 @@ def test_a_peak_beyond_limit_or_rig_is_reported_and_refused_by_run(
     status, out, err = seft("run", DEMO, *beyond)
     assert (status, out, err.count("\n"), flown) == (2, "", 1, [])
     assert all(warning.split(";")[0] in err for warning in found["warnings"])
-    assert err.endswith(
-        "; lower ground_motion: peak_force, or run it all the same with --accept-unstable\n"
-    )
+    remedy = "lower ground_motion: peak_force, or run it all the same with --accept-unstable"
+    assert err.endswith(f"; {remedy}\n")
     status, _, err = seft("run", DEMO, *beyond, "--accept-unstable")
     assert (status, len(flown)) == (1, 1)
     assert err.splitlines()[0].endswith("; lower ground_motion: peak_force; accepted")

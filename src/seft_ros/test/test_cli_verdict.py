@@ -39,26 +39,26 @@ def biased(bias):
     return replace(right(), series=as_measured(right(), Series(states.steps, values)))
 
 
+def saturated():
+    return replace(right(), saturation={"force_range": {"samples": 12, "first_step": 40}})
+
+
+def lost():
+    return without(right(), "valve_command", [7, 8])
+
+
+def tripped():
+    return replace(right(), trip=Trip("force [N] beyond limit", 1500, 3.0))
+
+
 RECORDINGS = {
     "right": (right, "good", ""),
-    "saturated": (
-        lambda: replace(right(), saturation={"force_range": {"samples": 12, "first_step": 40}}),
-        "doubt",
-        "saturated: force range in 12 samples from 0.080 s",
-    ),
+    "saturated": (saturated, "doubt", "saturated: force range in 12 samples from 0.080 s"),
     "missed": (lambda: replace(right(), missed=7), "doubt", "7 of 1751 steps missed"),
     "often missed": (lambda: replace(right(), missed=700), "bad", "700 of 1751 steps missed"),
     "overrun": (lambda: replace(right(), overruns=2), "doubt", "sampling overruns of the rig: 2"),
-    "lost": (
-        lambda: without(right(), "valve_command", [7, 8]),
-        "doubt",
-        "samples lost: 2 of valve_command",
-    ),
-    "tripped": (
-        lambda: replace(right(), trip=Trip("force [N] beyond limit", 1500, 3.0)),
-        "bad",
-        "tripped at 3.000 s (step 1500): force [N] beyond limit",
-    ),
+    "lost": (lost, "doubt", "samples lost: 2 of valve_command"),
+    "tripped": (tripped, "bad", "tripped at 3.000 s (step 1500): force [N] beyond limit"),
     "biased": (lambda: biased(1.2e-4), "doubt", "displacement error"),
     "biased much": (lambda: biased(2e-2), "bad", "displacement error"),
     "uncompensated": (lambda: simulated(load(PLAN[-1])), "bad", "displacement error"),

@@ -78,11 +78,8 @@ def test_the_model_predicts_as_the_exact_solution_of_the_whole_structure(delay, 
     damping, stiffness = C * np.array([[2, -1], [-1, 1]]), K * np.array([[2, -1], [-1, 1]])
     motion, state = rng.normal(0, 3, (50, 2)), np.zeros((4, 2))
     state[0], state[1] = rng.normal(0, 2e-3, 2), rng.normal(0, 0.15, 2)
-    values = {
-        "specimen__mass": mass.ravel().tolist(),
-        "specimen__damping": damping.ravel().tolist(),
-        "specimen__stiffness": stiffness.ravel().tolist(),
-    }
+    values = {"mass": mass, "damping": damping, "stiffness": stiffness}
+    values = {f"specimen__{name}": matrix.ravel().tolist() for name, matrix in values.items()}
     one = compensator("model", ("x", "y"), delay=delay, mass_ratio=1.5, **values)
     force = run(one, motion, [state])[0]
     a, ground = whole_structure(2.5 * mass, damping, stiffness, state[:2].ravel(), motion, delay)

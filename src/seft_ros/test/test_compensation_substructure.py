@@ -82,9 +82,8 @@ def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
     section = section_of(3, 2, internal, 500.0, actuator__delay=0.0103)
     known = known_of(section)
     one = compensator(method, known)
-    again = _BehindMotion(
-        COMPENSATION_METHODS[method](known), substructure_motion(known, one.preview)
-    )
+    motion = substructure_motion(known, one.preview)
+    again = _BehindMotion(COMPENSATION_METHODS[method](known), motion)
     matrix, size = one.linear().matrix(), len(one.linear().a)
     rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
     for _ in range(20):

@@ -189,9 +189,7 @@ def test_a_test_stays_within_limits_that_fit_it(tmp_path):
 
 
 def test_peaks_grow_with_the_motion():
-    once, twice = (
-        largest_of(load(f"ground_motion:peak_force:={newtons}")) for newtons in (200.0, 400.0)
-    )
+    once, twice = (largest_of(load(f"ground_motion:peak_force:={n}")) for n in (200.0, 400.0))
     assert twice == pytest.approx({name: 2.0 * peak for name, peak in once.items()}, rel=1e-6)
 
 

@@ -152,18 +152,12 @@ def test_the_rows_that_decide_are_those_below_their_reserve():
         ("actuator's dead time", "with any assumed valve"),
         ("actuator's gain", ""),
     ]
-    assert [end.critical for end in deciding] == [
-        found.margins.dead_time,
-        found.margins.sure_dead_time,
-        found.margins.gain.highest,
-    ]
-    rows = end_texts(found.ends)
-    marked = [row for row in rows if row[2].startswith("! ")]
-    assert [row[0] for row in marked] == [
-        "actuator's dead time",
-        "the same, with any assumed valve",
-        "actuator's gain",
-    ]
+    margins = found.margins
+    ends = [margins.dead_time, margins.sure_dead_time, margins.gain.highest]
+    assert [end.critical for end in deciding] == ends
+    marked = [row for row in end_texts(found.ends) if row[2].startswith("! ")]
+    same = "the same, with any assumed valve"
+    assert [row[0] for row in marked] == ["actuator's dead time", same, "actuator's gain"]
     said = " ".join(meanings(found.ends))
     assert "a gain up to 30 %" in said and "a delay up to 5 ms" in said and "!: " in said
     growth = np.array([[-1.0, -1.0], [1.0, 1.0]])

@@ -47,11 +47,7 @@ def test_a_unit_in_which_no_acceleration_can_be_read_is_distinguished_from_a_wor
 @pytest.mark.parametrize(
     ("header", "unit", "dt"),
     [
-        (
-            "ACCELERATION    UNIT: CM/SEC/SEC\nEQUALLY SPACED INTERVALS OF:  0.02  SEC\n",
-            "cm/s2",
-            0.02,
-        ),
+        ("ACC.  UNIT: CM/SEC/SEC\nEQUALLY SPACED INTERVALS OF:  0.02  SEC\n", "cm/s2", 0.02),
         ("units: gal\ntime step 5 msec\n", "cm/s2", 0.005),
         ("The units are (g)\nSampling rate: 128 Hz\n", "g", 1 / 128),
         ("#AmplitudeUnit:  gal. DCoffset(corr)\n#SampleRate(Hz): 50\n", "cm/s2", 0.02),
@@ -134,20 +130,16 @@ def test_a_peak_in_any_words_must_be_that_of_the_record(read, refuses, words):
 
 @pytest.mark.parametrize("unit", ["mm/s2", "in/s2", "%g", "furlong"])
 def test_a_unit_that_is_given_is_never_hinted_at_another(read, unit):
-    with pytest.raises(
-        InputError, match="must be g, m/s2, cm/s2 or gal; convert the record"
-    ) as message:
+    with pytest.raises(InputError, match="must be g, m/s2, cm/s2 or gal; convert") as message:
         read(ONE_COLUMN, unit=unit, dt=0.01)
     assert "did you mean" not in str(message.value)
 
 
 def table(*names, separator=","):
     """Columns with a time of 0.01 s first, then multiples of the wave."""
-    rows = [
-        separator.join([f"{0.01 * k:.2f}", *(f"{n * WAVE[k]:.5f}" for n in range(1, len(names)))])
-        for k in range(40)
-    ]
-    return "\n".join([separator.join(names), *rows]) + "\n"
+    numbers = range(1, len(names))
+    rows = [[f"{0.01 * k:.2f}", *(f"{n * WAVE[k]:.5f}" for n in numbers)] for k in range(40)]
+    return "\n".join(map(separator.join, [names, *rows])) + "\n"
 
 
 @pytest.mark.parametrize(
@@ -178,10 +170,7 @@ def test_the_names_of_columns_choose_the_acceleration(read, names, column):
         (table("T(s)", "PSA (gal)"), "is no acceleration in a unit known here"),
         (table("Period (s)", "PSA (gal)"), "PSA .gal. .line 1.: a spectrum, no time history"),
         (table("Frequency", "Amplitude"), "Amplitude .line 1.: a spectrum, no time history"),
-        (
-            "units: g\n" + table("time", "acc (gal)"),
-            "line 1 states the unit g, but the name of the column cm/s2",
-        ),
+        ("units: g\n" + table("time", "acc (gal)"), "line 1 states the unit g, but .* column cm/"),
         ("dt=0.02\n" + table("time", "acc (gal)"), "line 1 states .* 0.02, but column 0"),
     ],
 )

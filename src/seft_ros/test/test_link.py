@@ -83,11 +83,6 @@ def test_a_recording_over_a_link_counts_what_was_predicted():
     nothing = Series(np.empty(0, np.int64), np.empty((0, 1, 1)))
     series = {topic.name: nothing for topic in LOOP_TOPICS}
     recording = Recording(load("/**:loop_delay:=7"), series, link=report)
-    assert link_numbers(recording) == {
-        "loop_delay": 7,
-        "age": {"p50": 5, "p99": 9, "largest": 9},
-        "late": 2,
-        "held": 1,
-        "forces": 100,
-    }
+    numbers = {"loop_delay": 7, "late": 2, "held": 1, "forces": 100}
+    assert link_numbers(recording) == numbers | {"age": {"p50": 5, "p99": 9, "largest": 9}}
     assert link_numbers(Recording(load(), series, link=report)) is None

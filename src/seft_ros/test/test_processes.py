@@ -10,9 +10,8 @@ from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
 
 NODES = (*LOOP_NODES, "recorder")
-SEVERAL_CORES = pytest.mark.skipif(
-    len(os.sched_getaffinity(0)) < 2, reason="one core is not to be kept free"
-)
+ONE_CORE = len(os.sched_getaffinity(0)) < 2
+SEVERAL_CORES = pytest.mark.skipif(ONE_CORE, reason="one core is not to be kept free")
 
 
 @pytest.fixture(scope="module")

@@ -70,16 +70,10 @@ def test_actuators_differ_from_axis_to_axis_and_the_specimen_stays_symmetric():
     experiment = load(*TWO)
     drawn = drawn_tests.draw_tests(experiment, 4)
     two = drawn.factors
-    assert not np.array_equal(
-        two["rig:simulated.actuator.flow_gain, axis x"],
-        two["rig:simulated.actuator.flow_gain, axis y"],
-    )
+    x, y = (two[f"rig:simulated.actuator.flow_gain, axis {axis}"] for axis in "xy")
+    assert not np.array_equal(x, y)
     assert drawn.offsets.keys() == {
-        *(
-            f"rig:simulated.sensors.{channel}_lag, axis {axis}"
-            for channel in CHANNELS
-            for axis in "xy"
-        ),
+        *(f"rig:simulated.sensors.{name}_lag, axis {axis}" for name in CHANNELS for axis in "xy"),
         "rig:simulated.sensors.tilt, axis x by y",
         "rig:simulated.sensors.tilt, axis y by x",
     }
@@ -119,15 +113,12 @@ def test_a_motion_is_drawn_within_the_spread(number, spread, peak):
 
 def test_each_file_is_drawn_and_the_ground_layer_of_files_is_not():
     section = EXPERIMENT["ground_motion"]
-    drawn = [
-        drawn_tests.drawn_motion(section, 1, number, 0.1, ["a", "b", "c"])
-        for number in range(1, 300)
-    ]
+    files, draw = ["a", "b", "c"], drawn_tests.drawn_motion
+    drawn = [draw(section, 1, number, 0.1, files) for number in range(1, 300)]
     counts = [sum(one["file"] == name for one in drawn) for name in "abc"]
     assert min(counts) > 70 and sum(counts) == 299
-    assert {one["synthetic.ground_frequency"] for one in drawn} == {
-        section["synthetic.ground_frequency"]
-    }
+    ground = "synthetic.ground_frequency"
+    assert {one[ground] for one in drawn} == {section[ground]}
 
 
 def test_a_motion_that_is_not_there_is_reported_before_anything_is_run():

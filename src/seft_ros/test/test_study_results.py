@@ -37,12 +37,8 @@ def made_up(errors, factors=None, offsets=None, files=(), not_possible=None, obs
     lacking = {(1.0, name): reason for name, reason in (not_possible or {}).items()}
     methods = (*errors, *(not_possible or {}))
     design = StudyDesign(SimpleNamespace(), drawn, methods, (1.0,), lacking)
-    outcomes = [
-        run(method, number, error)
-        for method, own in errors.items()
-        for number, error in enumerate(own)
-    ]
-    return design, outcomes
+    of_all = errors.items()
+    return design, [run(name, k, error) for name, own in of_all for k, error in enumerate(own)]
 
 
 def summary_of(errors, **more):
@@ -98,11 +94,8 @@ def test_a_summary_counts_what_tripped_and_lists_the_worst():
     assert [run["test"] for run in result["runs"]] == [1, 2, 3]
     drawn = {"factors": {"a": 1.2, "b": 1.1}, "offsets": {"late": 1e-4}}
     assert summary["drawn"][2] == {"test": 3, "motion": "", **drawn}
-    assert [(one["test"], one["stable"]) for one in result["worst"]] == [
-        (2, False),
-        (3, True),
-        (1, True),
-    ]
+    worst = [(one["test"], one["stable"]) for one in result["worst"]]
+    assert worst == [(2, False), (3, True), (1, True)]
     # for how far they are drawn at most
     assert list(result["worst"][1]["furthest"]) == ["a", "late", "b"]
     assert result["worst"][1]["furthest"]["late"] == 1e-4
@@ -110,10 +103,8 @@ def test_a_summary_counts_what_tripped_and_lists_the_worst():
 
 def test_tests_are_grouped_by_their_ground_motion():
     motions = result_of([0.01, 0.02, 0.03, 0.05], files=["", "a/one", "two", "a/one"])["motions"]
-    assert {name: (own["tests"], own["max"]) for name, own in motions.items()} == {
-        "one": (2, 0.05),
-        "two": (1, 0.03),
-    }
+    found = {name: (own["tests"], own["max"]) for name, own in motions.items()}
+    assert found == {"one": (2, 0.05), "two": (1, 0.03)}
 
 
 def test_methods_are_ranked_by_trips_and_then_by_their_errors():
@@ -149,11 +140,7 @@ def test_the_terminal_shows_each_method_and_names_what_is_missing():
 
 
 def test_the_sentence_has_the_largest_error_that_most_tests_do_not_exceed():
-    for lost, wanted in (
-        (0, "95 % of the tests are at most 1.00 %"),
-        (1, "90 % of"),
-        (4, "50 % of"),
-    ):
+    for lost, wanted in (0, "95 % of the tests are at most 1.00 %"), (1, "90 % of"), (4, "50 % of"):
         summary = summary_of({"a": [0.01] * (11 - lost) + [LOST] * lost})
         said = headline(summary["results"][0], summary)
         assert said.startswith(f"a at mass ratio 1: {wanted}")

@@ -93,14 +93,11 @@ def test_the_file_of_a_worst_test_repeats_it(tmp_path, monkeypatch):
 def test_a_method_that_is_not_compiled_is_simulated_uncompiled_and_named_so(add_method):
     add_method("adapting", adapting)
     reported = []
-    runs = run_study(
-        planned(methods=["none", "adapting"]), progress=lambda what, _: reported.append(what)
-    )
+    both = planned(methods=["none", "adapting"])
+    runs = run_study(both, progress=lambda what, _: reported.append(what))
     assert [bool(one.why_not_compiled) for one in runs] == [False, True] * 3
-    assert reported[:2] == [
-        "mass ratio 0.5, none, test 0",
-        "mass ratio 0.5, adapting, test 0 (uncompiled)",
-    ]
+    first = "mass ratio 0.5, {}, test 0"
+    assert reported[:2] == [first.format("none"), f"{first.format('adapting')} (uncompiled)"]
     assert [one.summary for one in runs[::2]] == [one.summary for one in runs[1::2]]
 
 
@@ -166,13 +163,9 @@ def test_what_was_finished_before_an_interruption_is_not_run_again(tmp_path, mon
 def test_other_inputs_begin_anew(tmp_path):
     record = tmp_path / "motion.csv"
     words = (f"ground_motion:file:={record}", "ground_motion:dt:=0.005", "ground_motion:unit:=m/s2")
-    for peak, draws, files in (
-        (1.0, {}, 1),
-        (1.0, {"tests": 3}, 1),
-        (1.1, {}, 2),
-        (1.1, {"seed": 2}, 3),
-        (1.1, {"spread": 0.2}, 4),
-    ):
+    same = [(1.0, {}, 1), (1.0, {"tests": 3}, 1)]
+    other = [(1.1, {}, 2), (1.1, {"seed": 2}, 3), (1.1, {"spread": 0.2}, 4)]
+    for peak, draws, files in [*same, *other]:
         record.write_text("".join(f"{peak * (-1) ** (k // 20)}\n" for k in range(200)))
         with pytest.raises(KeyboardInterrupt):
             keeping(planned(*words, **draws), tmp_path, Stop(1))
@@ -212,6 +205,5 @@ def test_a_method_that_breaks_is_reported_with_its_test(add_method):
     add_method("broken", broken)
     with pytest.raises(ExperimentError) as caught:
         run_study(planned(methods=["none", "broken"]))
-    assert (
-        str(caught.value) == "mass ratio 0.5, broken, test 0: ZeroDivisionError: division by zero"
-    )
+    said = "mass ratio 0.5, broken, test 0: ZeroDivisionError: division by zero"
+    assert str(caught.value) == said

@@ -55,9 +55,8 @@ def test_an_interruption_stops_calculations_that_are_under_way():
 
 
 def test_workers_end_with_a_parent_that_is_killed():
-    ended = subprocess.run(
-        [sys.executable, "-c", KILLED], capture_output=True, text=True, check=False
-    )
+    words = [sys.executable, "-c", KILLED]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert ended.returncode == -signal.SIGKILL
     with suppress(FileNotFoundError, ProcessLookupError):  # one that nobody waited for has ended
         stat = Path(f"/proc/{int(ended.stdout)}/stat")
@@ -68,14 +67,6 @@ def test_workers_end_with_a_parent_that_is_killed():
 def test_the_machine_code_is_in_the_same_place_in_every_process():
     # a process hashes texts, and so orders sets, in its own way
     text = "from seft_ros.study.workers import software; print(software())"
-    found = {
-        subprocess.run(
-            [sys.executable, "-c", text],
-            env=os.environ | {"PYTHONHASHSEED": str(seed)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for seed in range(2)
-    }
-    assert len(found) == 1
+    seeds = [os.environ | {"PYTHONHASHSEED": seed} for seed in "01"]
+    words = [sys.executable, "-c", text]
+    assert len({subprocess.check_output(words, env=seed) for seed in seeds}) == 1

@@ -82,12 +82,8 @@ def controller(*args, **valve):
 
 def feedforward(known_gain=1.0, limit=10.0, horizon=25, velocity="measured", **valve):
     """Controller of a free piston, whose oil is stiff because it moves no mass."""
-    given = {
-        "sensors.velocity": velocity,
-        "limits.command": limit,
-        "specimen.mass": 1e-6,
-        "actuator.flow_gain": 0.04 * known_gain,
-    }
+    given = {"sensors.velocity": velocity, "limits.command": limit, "specimen.mass": 1e-6}
+    valve = {"flow_gain": 0.04 * known_gain} | valve
     given |= {f"actuator.{name}": value for name, value in valve.items()}
     words = [("/**", *item) for item in given.items()]
     words.append(("reference_force", "compensation.horizon", horizon * DT))

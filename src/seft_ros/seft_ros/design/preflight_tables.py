@@ -95,17 +95,11 @@ class ModelTime:
         times = self.median_s, self.p999_s, self.longest_s, self.budget_s
         median, p999, longest, budget = (f"{1e3 * time:.2g} ms" for time in times)
         said = f"{median} for a step, {p999} for one of 1000, {longest} for the longest"
-        return [
-            f"computed model: {said}, of {budget}",
-            "the margins above take its tangent at rest",
-        ]
+        tangent = "the margins above take its tangent at rest"
+        return [f"computed model: {said}, of {budget}", tangent]
 
 
-_OF_SPECIMEN = {
-    "specimen.mass": mass_matrix,
-    "specimen.damping": symmetric_matrix,
-    "specimen.stiffness": symmetric_matrix,
-}
+_OF_SPECIMEN = {"mass": mass_matrix, "damping": symmetric_matrix, "stiffness": symmetric_matrix}
 
 
 def planned_motion(experiment: Experiment) -> GroundMotion | None:
@@ -113,9 +107,10 @@ def planned_motion(experiment: Experiment) -> GroundMotion | None:
 
     What is known of the specimen is checked first: the simulated one is the same by default.
     """
+    known = experiment.sections.get("reference_force", {})
     for name, check in _OF_SPECIMEN.items():
-        if name in (known := experiment.sections.get("reference_force", {})):
-            check(known[name], experiment.axes, f"{EVERY_NODE}: {name}")
+        if (given := f"specimen.{name}") in known:
+            check(known[given], experiment.axes, f"{EVERY_NODE}: {given}")
     if section := experiment.sections.get("ground_motion"):
         return GroundMotion(section, experiment.axes, experiment.timebase)
     return None
