@@ -226,9 +226,10 @@ class Rig:
         self.simulation.take(forces)
         self._command[:] = self.simulation.state.asked  # which a servo may hold
         self.step_index = len(found) - 1
-        steps = {name: np.flatnonzero(found & bit).tolist() for name, bit in _SATURATED.items()}
+        seen = [name for name, bit in _SATURATED.items() if np.bitwise_or.reduce(found) & bit]
+        steps = {name: np.flatnonzero(found & _SATURATED[name]).tolist() for name in seen}
         self.saturation = {
-            name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
+            name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items()
         }
         self.violation = self.guard.violation(int(found[-1]))
         self.trusted = self.step_index
