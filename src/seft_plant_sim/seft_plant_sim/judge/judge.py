@@ -121,6 +121,7 @@ JUDGE_ROOM = np.dtype(
         ("noise", "f8", (4,)),  # variance of the channels, with the converter's
         ("seen", "f8", (4,)),  # the sample
         ("forced", "i8"),  # channels without a number, and those at their ends four bits higher
+        ("divides", "i8"),  # whether ``part`` is found anew
         ("beside", "f8"),  # force by the acceleration of other axes, N
         ("doubt", "f8"),  # its variance, N^2
         ("off", "f8", (4,)),  # residuals e of the relations

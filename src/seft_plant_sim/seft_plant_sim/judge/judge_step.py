@@ -60,7 +60,7 @@ from seft_plant_sim.judge.judge import (
     JudgeState,
     Record,
 )
-from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
+from seft_plant_sim.judge.relation_following import EVERY, MOTION_TO_NOISE
 from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
 LIKE = 2.0
@@ -121,6 +121,7 @@ def judge(
     """
     n, is_next, c = raw.shape[1], step == state.step[0] + 1, state.room[0]
     state.step[0], state.place[0] = step, place_of_age(state, -1)
+    c.divides = step % EVERY == 0
     for i in range(n):
         known, axis = p.axes[i], state.axes[i]
         take(p, state, i, raw)
@@ -128,7 +129,7 @@ def judge(
             begin_anew(known, axis, c)
         else:
             mean = (flow[0, i], flow[1, i])
-            count = 1 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
+            count = 0 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
             decide(known, axis, count)
             note_motion(known, axis, flow[0, i])
         publish(state, i, judged)
@@ -293,7 +294,7 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
-    continue_branch(known, axis, c, b, axis.made[0], 0)
+    continue_branch(known, axis, c, b, b, 0)
     return True
 
 
@@ -320,8 +321,9 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         axis.motion[relation] = known.events * axis.motion[relation] + size
         missed = known.events * axis.missed[relation] + beyond + described
         axis.missed[relation] = max(missed, 0.0)
-        part = axis.missed[relation] / axis.motion[relation]
-        axis.part[relation] = max(part, LEAST_MISSED**2)
+        if c.divides:
+            part = axis.missed[relation] / axis.motion[relation]
+            axis.part[relation] = max(part, LEAST_MISSED**2)
 
 
 @compiled
@@ -397,8 +399,11 @@ def likeliest(likelihood: Floats, count: int) -> int:
 
 @compiled
 def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Record, at: int) -> None:
-    """Continue a branch by a candidate, as a new one."""
+    """Continue a branch by a candidate, as a new one; by none wrong, also in its own place."""
     which = c.which[at]
+    for age in range(REVISED, 0, -1):
+        to.wrong[age] = b.wrong[age - 1]
+    to.event[2], to.event[1] = b.event[1], b.event[0]
     to.weight, to.wrong[0] = c.likelihood[at], which
     to.event[0] = c.amplitude[at, 5] if which & EVENT else 0.0
     for row in range(4):
@@ -413,18 +418,14 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
     if known.gain > 0.0:
-        moved = to.value[0, X] - b.value[0, X]
-        to.value[0, V] = derived(known.gain, known.pole, b.value[0, V], moved)
-    for age in range(REVISED):
-        to.wrong[1 + age] = b.wrong[age]
-    for age in range(2):
-        to.event[1 + age] = b.event[age]
+        moved = to.value[0, X] - to.value[1, X]
+        to.value[0, V] = derived(known.gain, known.pole, to.value[1, V], moved)
     force = to.value[0, F] - known.mass * to.value[0, A] - c.beside
     blur = to.variance[0, F] + known.mass**2 * to.variance[0, A]
     if which & FORCES and not which & EVENT:
         blur = min(blur, go_on(known, axis, b)[1])
-    to.restoring[0], to.blur[0] = force, blur
     to.restoring[1], to.blur[1], to.settling = b.restoring[0], b.blur[0], 0.25 * b.settling
+    to.restoring[0], to.blur[0] = force, blur
     if which & EVENT:  # a stop goes on to rise, friction stays: the mean of both
         half = 0.5 * to.event[0]
         to.restoring[1] = force - (b.restoring[0] - b.restoring[1]) - half
@@ -450,14 +451,15 @@ def joins(made: Record, new: int) -> bool:
 
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
-    """Keep the branches that agree with the likeliest one on the oldest sample."""
+    """Keep of new branches, if there are, those that agree with the likeliest on the oldest sample."""
     best, kept = 0, 1
     for j in range(1, count):
         if axis.made[j].weight > axis.made[best].weight:
             best = j
-    first = axis.made[best]
+    first = axis.made[best] if count else axis.alive[0]
     is_sure = first.event[2] != 0.0
-    axis.alive[0] = axis.made[best]
+    if count:
+        axis.alive[0] = axis.made[best]
     for j in range(count):
         b = axis.made[j]
         if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & ANY_CHANNEL:
