@@ -19,12 +19,7 @@ from seft_plant_sim.channels import (
 )
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
-from seft_plant_sim.judge.judge import (
-    BIAS,
-    JudgeParameters,
-    JudgeState,
-    judge_arrays,
-)
+from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
 from seft_plant_sim.judge.known_rig import (
     ASSUMED_ACTUATOR,
     command_limit,

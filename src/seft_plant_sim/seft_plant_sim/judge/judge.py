@@ -78,15 +78,13 @@ AXIS_STATE = np.dtype(
         ("motion", "f8", (3,)),  # ... of the motion that they describe
         ("usual", "f8", (2, 4)),  # variances of the channels of the last two samples
         ("blur", "f8", (4, 4)),  # covariance of the residuals by these
+        ("root", "f8", (4, 4)),  # its Cholesky factor
         ("scatter", "f8"),  # recent variance of (4), N^2
         ("rises", "f8"),  # recent mean square of the change of r in a sample, N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
         ("asked_turn", "f8"),  # ... second difference, N
-        (
-            "known",
-            "f8",
-        ),  # largest jump of r that a later sample has confirmed, of cycles, N
+        ("known", "f8"),  # largest jump of r that a later sample has confirmed, of cycles, N
         ("lately", "f8"),  # likewise, of the last samples
     ]
 )
@@ -121,7 +119,6 @@ JUDGE_ROOM = np.dtype(
         ("noise", "f8", (4,)),  # variance of the channels, with the converter's
         ("seen", "f8", (4,)),  # the sample
         ("forced", "i8"),  # channels without a number, and those at their ends four bits higher
-        ("divides", "i8"),  # whether ``part`` is found anew
         ("beside", "f8"),  # force by the acceleration of other axes, N
         ("doubt", "f8"),  # its variance, N^2
         ("off", "f8", (4,)),  # residuals e of the relations

@@ -39,6 +39,7 @@ from seft_plant_sim.judge.hypotheses import (
     X,
     allow_turn,
     distance,
+    factorise,
     fill_gram,
     is_turn,
     log_amplitudes,
@@ -60,7 +61,7 @@ from seft_plant_sim.judge.judge import (
     JudgeState,
     Record,
 )
-from seft_plant_sim.judge.relation_following import EVERY, MOTION_TO_NOISE
+from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
 LIKE = 2.0
@@ -121,7 +122,6 @@ def judge(
     """
     n, is_next, c = raw.shape[1], step == state.step[0] + 1, state.room[0]
     state.step[0], state.place[0] = step, place_of_age(state, -1)
-    c.divides = step % EVERY == 0
     for i in range(n):
         known, axis = p.axes[i], state.axes[i]
         take(p, state, i, raw)
@@ -233,6 +233,7 @@ def _find_blur(known: Record, axis: Record) -> None:
                 value += known.now[row, k] * noise[k] * known.now[column, k]
                 value += known.before[row, k] * before[k] * known.before[column, k]
             axis.blur[row, column] = value
+    factorise(axis.blur, axis.root, 4)
 
 
 find_blur = compiled(_find_blur, inline=False)
@@ -289,13 +290,26 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not distance(c) < PLAIN:
+    if not (fit_noise(axis, c) or distance(c) < PLAIN):
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
     continue_branch(known, axis, c, b, b, 0)
     return True
+
+
+@compiled
+def fit_noise(axis: Record, c: Record) -> bool:
+    """Say whether the residuals are plain by the noise alone; chi^2 by all of S is smaller."""
+    root, rest, chi2 = axis.root, c.solution, 0.0
+    for row in range(4):
+        value = c.off[row]
+        for column in range(row):
+            value -= root[row, column] * rest[column]
+        rest[row] = value * root[row, row]
+        chi2 += rest[row] * rest[row]
+    return chi2 < PLAIN
 
 
 @compiled
@@ -306,8 +320,7 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
         if relation == 3:
             axis.scatter = max(axis.scatter + (1.0 - known.recent) * beyond, 0.0)
-            b = axis.alive[0]
-            axis.rises += (1.0 - known.brief) * (rise_of(b) - axis.rises)
+            axis.rises += (1.0 - known.brief) * (rise_of(axis.alive[0]) - axis.rises)
             axis.rises = max(axis.rises, 0.0)
             break
         if relation == 2 and known.oil == 0.0:
@@ -321,9 +334,8 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         axis.motion[relation] = known.events * axis.motion[relation] + size
         missed = known.events * axis.missed[relation] + beyond + described
         axis.missed[relation] = max(missed, 0.0)
-        if c.divides:
-            part = axis.missed[relation] / axis.motion[relation]
-            axis.part[relation] = max(part, LEAST_MISSED**2)
+        part = axis.missed[relation] / axis.motion[relation]
+        axis.part[relation] = max(part, LEAST_MISSED**2)
 
 
 @compiled
@@ -451,15 +463,15 @@ def joins(made: Record, new: int) -> bool:
 
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
-    """Keep of new branches, if there are, those that agree with the likeliest on the oldest sample."""
+    """Keep of new branches those that agree with the likeliest one on the oldest sample."""
     best, kept = 0, 1
     for j in range(1, count):
         if axis.made[j].weight > axis.made[best].weight:
             best = j
-    first = axis.made[best] if count else axis.alive[0]
-    is_sure = first.event[2] != 0.0
     if count:
         axis.alive[0] = axis.made[best]
+    first = axis.alive[0]
+    is_sure = first.event[2] != 0.0
     for j in range(count):
         b = axis.made[j]
         if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & ANY_CHANNEL:

@@ -31,13 +31,7 @@ from seft_plant_sim.simulated.continuous_model import (
     servo_hydraulic,
     with_inner_loop,
 )
-from seft_plant_sim.simulated.faults import (
-    Fault,
-    Faults,
-    failing_specimen,
-    faults_of,
-    read_faults,
-)
+from seft_plant_sim.simulated.faults import Fault, Faults, failing_specimen, faults_of, read_faults
 from seft_plant_sim.simulated.rig_step import (
     FORCE_NOW,
     LARGEST_TRAVEL,
