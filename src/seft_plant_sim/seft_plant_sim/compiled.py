@@ -203,8 +203,8 @@ def multiply_sized(
 
     The length of a tuple is known then, that of an array is not.
     """
-    whole = rows - rows % 4
-    for i in range(0, whole, 4):  # four at a time, by instructions of the processor
+    for first in range(0, rows if rows >= 4 else 0, 4):  # four at a time, in one instruction each,
+        i = min(first, rows - 4)  # at the end some of them again
         one = two = three = four = 0.0
         for j in range(columns):
             factor = vector[j]
@@ -213,7 +213,7 @@ def multiply_sized(
             three += transposed[j, i + 2] * factor
             four += transposed[j, i + 3] * factor
         result[i], result[i + 1], result[i + 2], result[i + 3] = one, two, three, four
-    for i in range(whole, rows):
+    for i in range(rows if rows < 4 else 0):
         one = 0.0
         for j in range(columns):
             one += transposed[j, i] * vector[j]

@@ -226,10 +226,9 @@ class Rig:
         self.simulation.take(forces)
         self._command[:] = self.simulation.state.asked  # which a servo may hold
         self.step_index = len(found) - 1
-        steps = {name: np.flatnonzero(found & bit).tolist() for name, bit in _SATURATED.items()}
-        self.saturation = {
-            name: {"samples": len(at), "first_step": at[0]} for name, at in steps.items() if at
-        }
+        seen = [name for name, bit in _SATURATED.items() if np.bitwise_or.reduce(found) & bit]
+        steps = {name: np.flatnonzero(found & _SATURATED[name]).tolist() for name in seen}
+        self.saturation = {k: {"samples": len(at), "first_step": at[0]} for k, at in steps.items()}
         self.violation = self.guard.violation(int(found[-1]))
         self.trusted = self.step_index
         if self.violation is not None:

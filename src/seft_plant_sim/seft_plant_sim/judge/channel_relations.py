@@ -23,6 +23,7 @@ from seft_plant_sim.judge.detectors import (
     DIFFERS,
     DISPLACEMENT_VELOCITY,
     OIL,
+    SAMPLE,
     TOLERANCES,
     UNDESCRIBED,
     VELOCITY_ACCELERATION,
@@ -36,6 +37,7 @@ from seft_plant_sim.judge.judge_step import is_replaced
 from seft_plant_sim.judge.relation_following import (
     BIAS_OF,
     CHANGE,
+    EVERY,
     INTEGRAL,
     MOTION_TO_NOISE,
     NOISE_SIGMAS,
@@ -119,7 +121,10 @@ def compare_channels(
     )
     whole = max(abs(sums[CHANGE, i]), abs(sums[INTEGRAL, i]), p.memory * state.largest[relation, i])
     state.largest[relation, i] = whole
-    noise = p.sums[relation, i]
+    noise, is_due = p.sums[relation, i], state.step[SAMPLE] % EVERY == 0
+    near = min(state.shares[row, i], 1.0) * (noise + rough)  # no threshold is smaller
+    if abs(off) <= near and state.counts[row, i] == 0 and not is_due:
+        return -1  # as mostly
     by_estimates = uncertain(covariance, sums[INTEGRAL, i], sums[PER_DELAY, i], sums[PERIODS, i])
     left = max(scatter[SCATTER, i], 0.0) * whole * whole
     known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
@@ -130,14 +135,15 @@ def compare_channels(
         known = most
     threshold = min(known, most) + rough
     is_fault = look(p, state, row, i, abs(off), threshold)
-    if state.counts[row, i] == 0:
+    if is_due and state.counts[row, i] == 0:
         persistent = p.correlated[relation] * ((rough / NOISE_SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
         doubt = white * (noise / NOISE_SIGMAS) ** 2 + persistent
         moves = whole > MOTION_TO_NOISE / NOISE_SIGMAS * (noise + rough)
         limits, drift = p.most[relation], p.drift[relation]
         follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
-        remember(scatter, i, off, known / NOISE_SIGMAS, whole, noise / NOISE_SIGMAS, p.rig.dt)
+        usual, by_noise = known / NOISE_SIGMAS, noise / NOISE_SIGMAS
+        remember(scatter, i, off, usual, whole, by_noise, EVERY * p.rig.dt)
     return row * n + i if is_fault else -1
 
 

@@ -12,11 +12,7 @@ from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.compiled import compiled, put_first
-from seft_plant_sim.judge.channel_relations import (
-    begin_relations,
-    find_flow,
-    relations,
-)
+from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
 from seft_plant_sim.judge.detectors import (
     AT_RANGE,
     FROZEN,

@@ -78,15 +78,13 @@ AXIS_STATE = np.dtype(
         ("motion", "f8", (3,)),  # ... of the motion that they describe
         ("usual", "f8", (2, 4)),  # variances of the channels of the last two samples
         ("blur", "f8", (4, 4)),  # covariance of the residuals by these
+        ("root", "f8", (4, 4)),  # its Cholesky factor
         ("scatter", "f8"),  # recent variance of (4), N^2
         ("rises", "f8"),  # recent mean square of the change of r in a sample, N^2
         ("asked", "f8", (2,)),  # the last reference forces, N
         ("asked_jump", "f8"),  # their largest recent change, N
         ("asked_turn", "f8"),  # ... second difference, N
-        (
-            "known",
-            "f8",
-        ),  # largest jump of r that a later sample has confirmed, of cycles, N
+        ("known", "f8"),  # largest jump of r that a later sample has confirmed, of cycles, N
         ("lately", "f8"),  # likewise, of the last samples
     ]
 )

@@ -39,6 +39,7 @@ from seft_plant_sim.judge.hypotheses import (
     X,
     allow_turn,
     distance,
+    factorise,
     fill_gram,
     is_turn,
     log_amplitudes,
@@ -128,7 +129,7 @@ def judge(
             begin_anew(known, axis, c)
         else:
             mean = (flow[0, i], flow[1, i])
-            count = 1 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
+            count = 0 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
             decide(known, axis, count)
             note_motion(known, axis, flow[0, i])
         publish(state, i, judged)
@@ -232,6 +233,7 @@ def _find_blur(known: Record, axis: Record) -> None:
                 value += known.now[row, k] * noise[k] * known.now[column, k]
                 value += known.before[row, k] * before[k] * known.before[column, k]
             axis.blur[row, column] = value
+    factorise(axis.blur, axis.root, 4)
 
 
 find_blur = compiled(_find_blur, inline=False)
@@ -288,13 +290,26 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not distance(c) < PLAIN:
+    if not (fit_noise(axis, c) or distance(c) < PLAIN):
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
-    continue_branch(known, axis, c, b, axis.made[0], 0)
+    continue_branch(known, axis, c, b, b, 0)
     return True
+
+
+@compiled
+def fit_noise(axis: Record, c: Record) -> bool:
+    """Say whether the residuals are plain by the noise alone; chi^2 by all of S is smaller."""
+    root, rest, chi2 = axis.root, c.solution, 0.0
+    for row in range(4):
+        value = c.off[row]
+        for column in range(row):
+            value -= root[row, column] * rest[column]
+        rest[row] = value * root[row, row]
+        chi2 += rest[row] * rest[row]
+    return chi2 < PLAIN
 
 
 @compiled
@@ -305,8 +320,7 @@ def learn(known: Record, axis: Record, c: Record) -> None:
         beyond = min(c.off[relation] ** 2, CLIPPED * whole) - whole
         if relation == 3:
             axis.scatter = max(axis.scatter + (1.0 - known.recent) * beyond, 0.0)
-            b = axis.alive[0]
-            axis.rises += (1.0 - known.brief) * (rise_of(b) - axis.rises)
+            axis.rises += (1.0 - known.brief) * (rise_of(axis.alive[0]) - axis.rises)
             axis.rises = max(axis.rises, 0.0)
             break
         if relation == 2 and known.oil == 0.0:
@@ -397,8 +411,11 @@ def likeliest(likelihood: Floats, count: int) -> int:
 
 @compiled
 def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Record, at: int) -> None:
-    """Continue a branch by a candidate, as a new one."""
+    """Continue a branch by a candidate, as a new one; by none wrong, also in its own place."""
     which = c.which[at]
+    for age in range(REVISED, 0, -1):
+        to.wrong[age] = b.wrong[age - 1]
+    to.event[2], to.event[1] = b.event[1], b.event[0]
     to.weight, to.wrong[0] = c.likelihood[at], which
     to.event[0] = c.amplitude[at, 5] if which & EVENT else 0.0
     for row in range(4):
@@ -413,18 +430,14 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
     if known.gain > 0.0:
-        moved = to.value[0, X] - b.value[0, X]
-        to.value[0, V] = derived(known.gain, known.pole, b.value[0, V], moved)
-    for age in range(REVISED):
-        to.wrong[1 + age] = b.wrong[age]
-    for age in range(2):
-        to.event[1 + age] = b.event[age]
+        moved = to.value[0, X] - to.value[1, X]
+        to.value[0, V] = derived(known.gain, known.pole, to.value[1, V], moved)
     force = to.value[0, F] - known.mass * to.value[0, A] - c.beside
     blur = to.variance[0, F] + known.mass**2 * to.variance[0, A]
     if which & FORCES and not which & EVENT:
         blur = min(blur, go_on(known, axis, b)[1])
-    to.restoring[0], to.blur[0] = force, blur
     to.restoring[1], to.blur[1], to.settling = b.restoring[0], b.blur[0], 0.25 * b.settling
+    to.restoring[0], to.blur[0] = force, blur
     if which & EVENT:  # a stop goes on to rise, friction stays: the mean of both
         half = 0.5 * to.event[0]
         to.restoring[1] = force - (b.restoring[0] - b.restoring[1]) - half
@@ -450,14 +463,15 @@ def joins(made: Record, new: int) -> bool:
 
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
-    """Keep the branches that agree with the likeliest one on the oldest sample."""
+    """Keep of new branches those that agree with the likeliest one on the oldest sample."""
     best, kept = 0, 1
     for j in range(1, count):
         if axis.made[j].weight > axis.made[best].weight:
             best = j
-    first = axis.made[best]
+    if count:
+        axis.alive[0] = axis.made[best]
+    first = axis.alive[0]
     is_sure = first.event[2] != 0.0
-    axis.alive[0] = axis.made[best]
     for j in range(count):
         b = axis.made[j]
         if j == best or (b.wrong[REVISED] ^ first.wrong[REVISED]) & ANY_CHANNEL:

@@ -174,7 +174,8 @@ class SimulatedRig:
         Its stop begins at the sample of step ``first``, by default the last one.
         """
         begun = self.step_index if first is None else min(first, self.step_index)
-        peaks = self.state.peaks[LARGEST_TRAVEL], max(self._forces), max(self._forces[begun:])
+        forces = np.array(self._forces)
+        peaks = self.state.peaks[LARGEST_TRAVEL], forces.max(), forces[begun:].max()
         return Simulated(*map(float, peaks))
 
     def check(self) -> None:
@@ -184,7 +185,7 @@ class SimulatedRig:
 
     def take(self, forces: Floats) -> None:
         """Continue after a compiled loop of N steps; ``forces`` are the largest true ones, (N,)."""
-        self.step_index, self._forces = len(forces) - 1, array("d", forces)
+        self.step_index, self._forces = len(forces) - 1, array("d", forces.tobytes())
 
 
 def continuous_model(

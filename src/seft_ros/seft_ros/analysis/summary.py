@@ -32,11 +32,7 @@ from seft_ros.analysis.metrics import Agreement, agreement, common_steps, peak
 from seft_ros.analysis.timing import link_numbers, timing_of
 from seft_ros.bags.recording import Estimates, Recording, every_step
 from seft_ros.drawing.style import json_safe
-from seft_ros.force_controller.target_distance import (
-    begin_tracking,
-    track_all,
-    tracking_detector,
-)
+from seft_ros.force_controller.target_distance import begin_tracking, track_all, tracking_detector
 from seft_ros.ground_motion.ground_motion_block import MOTION
 from seft_ros.ground_motion.response_spectrum import significant_parts
 

@@ -97,10 +97,8 @@ def simulate_test(
     _check_memory(total, axes)
     force.reset()
     blocks.force_controller.reset()
-    estimated, period = (
-        force.estimates(),
-        sampling_period(experiment.timebase, force.reference_force.is_modelled),
-    )
+    estimated = force.estimates()
+    period = sampling_period(experiment.timebase, force.reference_force.is_modelled)
     samples = LoopSamples(
         np.empty((total, len(topics.RIG_STATE.quantities), axes)),
         np.empty((total, len(topics.MEASURED.quantities), axes)),
@@ -193,11 +191,8 @@ def _compiles(
     total, axes = samples.commands.shape
     kind = rig.kind, blocks.reference_force.kind, interlock.kind, axes
     _run_so_far[kind] += total
-    return (
-        at_once
-        or _run_so_far[kind] > PLAIN_STEPS
-        or is_compiled(blocks, samples, loop_delay, period)
-    )
+    pays = at_once or _run_so_far[kind] > PLAIN_STEPS
+    return pays or is_compiled(blocks, samples, loop_delay, period)
 
 
 def run_plain(blocks: Blocks, samples: LoopSamples, loop_delay: int, period: int) -> Iterator[int]:
