@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.fft import rfft
+from scipy.signal import welch
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import command_unit
@@ -76,13 +76,8 @@ def spectrum_of(y: Floats, dt: float) -> Spectrum:
     size = min(len(y), max(2, round(SEGMENT / dt)))
     if size < 2:
         return Spectrum(np.empty(0), np.empty(0))
-    window = np.sin(np.pi / size * np.arange(size)) ** 2
-    parts = np.lib.stride_tricks.sliding_window_view(y, size)[:: size - size // 2]
-    with np.errstate(all="ignore"):  # written out: importing scipy.signal takes as long as a test
-        spectra = rfft(window * (parts - parts.mean(axis=1, keepdims=True)), axis=1)
-        power = dt / (window @ window) * np.mean(np.abs(spectra) ** 2, axis=0)
-    power[1 : (size + 1) // 2] *= 2.0
-    return Spectrum(np.arange(len(power)) / (size * dt), power)
+    with np.errstate(all="ignore"):
+        return Spectrum(*welch(y, 1.0 / dt, nperseg=size))
 
 
 def vibration(
