@@ -13,11 +13,13 @@ of a part of the test, integration by parts gives its mean error b, whatever the
 
     b = (sum w a - sum w'' x) / sum w                                                      (2)
 
-Slow motion is known better from the displacement, and fast motion from the acceleration. With their
-noise s_x and s_a, and linear between samples, the motion y of a test makes this least (Whittaker
-1923; D: second differences, m: the mean of three accelerations, weighed 1:4:1)::
+Slow motion is known better from the displacement, and fast motion from the acceleration. What the
+latter lacks, c, makes c^2 / s_a^2 + (x - y)^2 / s_x^2 least over all samples, with noise s and the
+motion y of the acceleration a + c (Whittaker 1923, Numerov 1924; D: second differences)::
 
-    sum ((x - y) / s_x)^2 + sum ((m - D y / dt^2) / s_a)^2                                 (3)
+    D y / dt^2 = c + N a,  so  (1 + (s_x / (s_a dt^2))^2 D D^T) c = D x / dt^2 - N a       (3)
+
+with (N a)_k = (a_k-1 + 10 a_k + a_k+1) / 12.
 
 A valve's commands are steps, and what they excite above half the rate looks like the motion itself:
 at 250 Hz 0.8 % of its acceleration, which the displacement has not. Of force and M a it is the same
@@ -270,16 +272,14 @@ def with_motion(samples: Floats, of_x: Floats, of_a: Floats, dt: float) -> Float
     from scipy.sparse import diags_array, eye_array
     from scipy.sparse.linalg import spsolve
 
-    count = len(samples)
-    bend = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(count - 2, count))
+    inner = max(len(samples) - 2, 0)
+    bend = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(inner, inner + 2))
     found = samples.copy()
-    for i in np.flatnonzero(of_a > 0.0) if count > 2 else ():
+    for i in np.flatnonzero(of_a > 0.0) if inner else ():
         x, a = samples[:, DISPLACEMENT, i], samples[:, ACCELERATION, i]
-        mean = (a[:-2] + 4.0 * a[1:-1] + a[2:]) / 6.0
-        weight = (of_x[i] / (of_a[i] * dt**2)) ** 2
-        normal = eye_array(count) + weight * (bend.T @ bend)
-        y = spsolve(normal.tocsc(), x + weight * dt**2 * (bend.T @ mean))
-        found[1:-1, ACCELERATION, i] += bend @ y / dt**2 - mean
+        lacking = bend @ x / dt**2 - (a[:-2] + 10.0 * a[1:-1] + a[2:]) / 12.0
+        smooth = (of_x[i] / (of_a[i] * dt**2)) ** 2 * (bend @ bend.T) + eye_array(inner)
+        found[1:-1, ACCELERATION, i] += spsolve(smooth.tocsc(), lacking)
     return found
 
 
