@@ -5,6 +5,7 @@ import pytest
 from seft_ros.analysis.channel_estimates import (
     motion_frequency,
     relation,
+    with_motion,
 )
 from seft_ros.analysis.mass_estimate import inertia
 
@@ -97,6 +98,21 @@ def test_samples_of_a_test_that_ended_at_once_show_no_relation():
     y = samples()[:3]
     y[:, 0] = 1e-12 * np.arange(3.0)[:, np.newaxis]
     assert relation(y[:, 2], y[:, 0], 2, DT, motion_frequency(y)) is None
+
+
+@pytest.mark.parametrize("of_a", [0.0, 0.05])
+def test_slow_accelerations_are_known_by_the_displacement(of_a):
+    t, rng = 0.002 * np.arange(4000), np.random.default_rng(1)
+    x = 1e-3 * np.sin(2 * np.pi * 3.0 * t) + 1e-4 * np.sin(2 * np.pi * 20.0 * t)
+    a = -((6 * np.pi) ** 2) * 1e-3 * np.sin(2 * np.pi * 3.0 * t)
+    a -= (40 * np.pi) ** 2 * 1e-4 * np.sin(2 * np.pi * 20.0 * t)
+    samples = np.zeros((4000, 4, 1))
+    samples[:, 0, 0] = x + 5e-6 * rng.normal(size=4000)
+    samples[:, 2, 0] = a + of_a * rng.normal(size=4000)
+    found = with_motion(samples, np.array([5e-6]), np.array([of_a]), 0.002)[:, 2, 0]
+    slow = np.convolve(found - a, np.hanning(101) / np.hanning(101).sum(), "valid")  # below 10 Hz
+    assert np.std(slow) < 0.1 * of_a / np.sqrt(33) + 1e-12
+    assert np.std(found - a) <= of_a
 
 
 def test_tilt_is_the_part_of_another_axis():

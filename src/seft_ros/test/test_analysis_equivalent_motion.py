@@ -116,8 +116,9 @@ def test_a_larger_motion_differs_as_much_everywhere():
     motion = ground(test)
     found = motion_difference(recording_of(test, motion, states_of(test, 1.1 * motion)))
     assert found.specimen_nrmse == pytest.approx(0.1, rel=0.02)
-    np.testing.assert_allclose(found.tested, 1.1 * found.asked, rtol=1e-9)
-    assert found.numbers()["spectrum_deviation"] == pytest.approx(0.1)
+    # the acceleration is smooth between samples, that of the reference is linear
+    np.testing.assert_allclose(found.tested, 1.1 * found.asked, rtol=1e-3)
+    assert found.numbers()["spectrum_deviation"] == pytest.approx(0.1, rel=1e-3)
     low, high = found.band_hz
     assert low < found.natural_hz[0] and found.natural_hz[-1] < high
 

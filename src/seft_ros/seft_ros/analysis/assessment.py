@@ -17,7 +17,7 @@ GOOD_VIBRATION, BAD_VIBRATION = 0.1, 0.3
 GOOD_EFFECT = 0.02
 """Displacement error that a wrong mass, scale or lag would mean: less than half of what would be
 too much, because it is an estimate. It may be several times too large, so no test is worth nothing
-for it."""
+for it. What a drift means is known better: `GOOD_ERROR` is its bound."""
 BAD_MISSED = 0.05
 """Share of steps that missed the command deadline."""
 BAD_LATE = 0.2
@@ -220,8 +220,9 @@ def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
         of = "" if len(summary["axes"]) == 1 else f" of {one['axis']}"
         of += f" in the {one['part']}" if one["part"] else ""
         text = f"{_DEVIATIONS[kind](one, of)}, an error of {_about(one['effect'])} in displacement"
-        mark = Mark.NONE if simulated else _grade(one["effect"], GOOD_EFFECT, float("inf"))
-        yield TestFinding(kind, mark, text, _up_to(GOOD_EFFECT))
+        bound = GOOD_ERROR if kind == "drift" else GOOD_EFFECT
+        mark = Mark.NONE if simulated else _grade(one["effect"], bound, float("inf"))
+        yield TestFinding(kind, mark, text, _up_to(bound))
 
 
 def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:

@@ -28,7 +28,7 @@ from seft_ros.analysis.channel_estimates import (
     relation,
 )
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
-from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, MIN_ERROR, inertia
+from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, inertia
 from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.design.plant import FOLDED
@@ -229,8 +229,8 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
         JSON values; docs/metrics.md explains each. ``mass``, ``scale``, ``lag``, ``drift``: the
         worst `Deviation` of each kind; in a half of the test only what is beyond chance. ``axes``:
         axis -> ``mass``, ``force``, ``acceleration``, ``velocity``: all estimates. Displacement
-        errors: ``at_most``, which mass, force, and acceleration, as estimated and together, exceed
-        with the chance `CHANCE`; ``clipped``, which accelerations beyond their sensor's range
+        errors: ``at_most``, which mass, force, drift and acceleration together exceed with the
+        chance `CHANCE`; ``clipped``, which accelerations beyond their sensor's range
         mean, by the velocity; ``force_scale``, which `UNTOLD` of the forces' scale would mean,
         where nobody told the scale, and the mass was identified by these forces; ``unsure`` and
         ``unsure_lag``, which `SIGNIFICANT` standard errors of the masses, and of the forces' lags,
@@ -258,23 +258,24 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
         own = _combined(own, _known_inertia(experiment, effect.mass))
         relations = list(_relations(experiment, samples, frequency))
+        halves = _halves(samples)
+        in_parts += _drifts(effect, samples, dt, halves, axes)
         if own is not None:
             means["unsure"] = effect.of_mass(1.0 + SIGNIFICANT * own.scale_error)
             if np.isfinite(own.lag_error).all():
                 means["unsure_lag"] = effect.of_force_lag(SIGNIFICANT * own.lag_error)
-            means["at_most"] = _at_most(effect, own, relations, untrue)
+            moved = max((one.effect for one in in_parts), default=0.0)
+            means["at_most"] = _at_most(effect, own, relations, untrue, moved)
         if identified.any() and not untrue.any():
             means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
             means["clipped"] = effect.of_zero(np.zeros(len(axes)), -_beyond_range(samples, dt))
         found += _deviations(effect, own, relations, axes)
-        halves = _halves(samples)
         for name, half in halves.items():
             own = inertia(samples[half], effect.mass, effect.springs, dt, frequency)
             relations = list(_relations(experiment, samples[half], frequency))
             for one in _deviations(effect.within(half), own, relations, axes):
                 in_parts += [replace(one, part=name)] if one.effect else []
-        in_parts += _drifts(effect, samples, dt, halves, axes)
     for_all = sorted((*found, *in_parts), key=lambda one: one.rank)
     worst = {one.kind: asdict(one) for one in for_all}
     numbers = {axis: _numbers(found, axis) for axis in axes}
@@ -355,20 +356,25 @@ def _deviations(
 
 
 def _at_most(
-    effect: CalibrationEffect, own: Relation, relations: list[_OfChannel], untrue: Floats
+    effect: CalibrationEffect,
+    own: Relation,
+    relations: list[_OfChannel],
+    untrue: Floats,
+    moved: float,
 ) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
     The effects of mass, scale and lag are at other times: their squares add up. What is not known
     of the acceleration's scale is little but folding, which makes no test wrong, and a wrong
     velocity misleads the valve alone: the motion shows what came of it. No motion shows what is
-    not known of the forces' scale, ``untrue``, (n,).
+    not known of the forces' scale, ``untrue``, (n,). ``moved`` is the effect of a drift.
     """
     off, lag_error = own.scale - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
     effects = [
         (effect.of_mass(1.0 + off), effect.of_mass(1.0 + own.scale_error)),
         (effect.of_force_lag(own.lag), effect.of_force_lag(lag_error)),
         (0.0, effect.of_force_scale(1.0 + untrue)),
+        (moved, 0.0),
     ]
     for channel, of, scale, lag in relations:
         if channel == "acceleration":
@@ -441,7 +447,7 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     error, late = (per_axis(section[name], axes, f"/**: {name}") for name in names)
     if not error.any():
         return None
-    error = np.maximum(np.where(error > 0, error / np.diag(mass), np.inf), MIN_ERROR)
+    error = np.where(error > 0, error / np.diag(mass), np.inf)
     none = np.zeros(len(axes))
     return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 

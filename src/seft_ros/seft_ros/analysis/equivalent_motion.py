@@ -16,7 +16,7 @@ from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.whole_structure import WholeStructure, reference_response, whole_structure
 
 from seft_ros.analysis import metrics
-from seft_ros.analysis.channel_estimates import noise_of, without_folding
+from seft_ros.analysis.channel_estimates import noise_of, with_motion, without_folding
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.bags.recording import Recording, every_step
@@ -27,6 +27,7 @@ DAMPING = 0.05
 BAND_MARGIN = 2.0
 """Spectra must agree from the lowest natural frequency over this to the highest times this: a
 specimen that yields makes the structure softer, and one that closes gaps stiffer."""
+_DRAWN = 4  # times, noise
 _PERIODS, _AROUND = 60, 4.0  # of a spectrum, and how far it goes beyond the structure's frequencies
 
 
@@ -201,14 +202,16 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         seen = without_folding(measured, equivalent.mass, recording.experiment)
-        tested = equivalent.advance(seen)
+        sizes = noise_of(measured[:, DISPLACEMENT]), noise_of(measured[:, ACCELERATION])
+        tested = equivalent.advance(with_motion(seen, *sizes, dt))
         of_tested, of_asked = (reference_response(assumed, y) for y in (tested, asked))
         first = nrmse(of_tested.displacement, of_asked.displacement)
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
-        noise = EquivalentMotion(structure, dt).advance(_noise(measured, equivalent.mass))
-        of_noise = law.difference(noise)
+        drawn = (with_motion(one, *sizes, dt) for one in _noise(measured, equivalent.mass))
+        noise = [EquivalentMotion(structure, dt).advance(one) for one in drawn]
+        of_noise = float(np.sqrt(np.mean([law.difference(one) ** 2 for one in noise])))
         band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
         frequency = spectrum_frequencies(band, dt)
         spectra = [
@@ -219,18 +222,17 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
 
 
 def _noise(samples: Floats, mass: Floats) -> Floats:
-    """Draw noise like that of force and acceleration, shape (N, 4, n).
+    """Draw noise like that of displacement, acceleration and force, shape (`_DRAWN`, N, 4, n).
 
-    Its size is that of f - M a, in which a motion that no noise is, such as that of the oil column,
-    cancels.
+    That of the last two is the size of f - M a, in which a motion that no noise is, such as that of
+    the oil column, cancels.
     """
     a, f = samples[:, ACCELERATION], samples[:, FORCE]
     inertial = a @ mass.T
     size = noise_of(f - inertial) / np.maximum(np.hypot(noise_of(f), noise_of(inertial)), 1e-300)
-    drawn = np.random.default_rng(0).standard_normal((2, *a.shape)) * np.minimum(size, 1.0)
-    noise = np.zeros_like(samples)
-    noise[:, ACCELERATION], noise[:, FORCE] = drawn[0] * noise_of(a), drawn[1] * noise_of(f)
-    return noise
+    sizes = np.minimum(size, 1.0) * noise_of(samples)
+    sizes[DISPLACEMENT] = noise_of(samples[:, DISPLACEMENT])
+    return np.random.default_rng(0).standard_normal((_DRAWN, *samples.shape)) * sizes
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:

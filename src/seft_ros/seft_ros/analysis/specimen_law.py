@@ -48,7 +48,7 @@ _PARTS = 16  # of a test, in the first and last of which no step begins
 MODES = 10
 """Cosines of Eq. (1)."""
 _SLOW = 3  # of them, in which a drift may be
-_STOPS, _CORNERS = 48, 30  # beside a drift: the corner of a bilinear law is within its noise
+_STOPS, _EVEN, _CORNERS = 24, 48, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 _DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
@@ -213,6 +213,7 @@ def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
     (thresholds,) = _thresholds(deformation[:, np.newaxis], _STOPS, 1.0)
+    thresholds = np.append(thresholds, thresholds[-1] * np.arange(1, _EVEN) / _EVEN)
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
     stops = stop_operators(deformation, thresholds)[here] / thresholds
     linear = (
@@ -258,7 +259,7 @@ def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, 
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
     regressors, q = np.hstack([drift, law]), drift.shape[1]
     normal = regressors.T @ regressors
-    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS, _CORNERS, _DRIFT_SMOOTH)
+    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS + _EVEN - 1, _CORNERS, _DRIFT_SMOOTH)
     inverse = np.linalg.inv(normal)
     values = inverse @ (regressors.T @ y)
     left = y - regressors @ values
