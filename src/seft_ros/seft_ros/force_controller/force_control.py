@@ -432,7 +432,7 @@ class TargetFollower:
         needed: int,
     ) -> None:
         self.parameters, self.state = parameters, state
-        n, steps, (step, stop) = len(state.errors), path.motions.shape[1] - 1, functions
+        n, steps, (step, stop) = len(state.errors), path.steps, functions
         self.shape = 1 + horizon, 3
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
         self._command, both, self._path = np.zeros(n), (parameters, state), path

@@ -245,7 +245,7 @@ def servo_stop(
     commands : ndarray
         From the step after that of the plan on, shape (N, n), m. The result.
     """
-    come_to_rest(stop, plan, parameters.dt, path)
+    come_to_rest(stop, plan, path)
     for j in range(len(commands)):
         move_servos(parameters, state, path[j + 1 :], commands[j])
 
@@ -316,7 +316,7 @@ class PositionServo(TargetFollower):
         sizes = {"n": n, "states": states, "memory": math.floor(late.max()) + 4, "taps": taps}
         state = zeros(ServoState, sizes)
         functions = servo_step, servo_stop
-        path = stop_path(*read_specimen(section, axes, own), dt)
+        path = stop_path(*read_specimen(section, axes, own), horizon, dt)
         super().__init__(parameters, state, functions, path, horizon, needed)
 
 

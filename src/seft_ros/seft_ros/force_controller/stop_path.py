@@ -1,13 +1,9 @@
 """The motion that brings a rig to rest, from the motion of its target and without a sample.
 
-In each mode of the specimen on the rig, of mass 1 and stiffness w^2, the force a + w^2 q goes to 0
-with the least integral of its squared change. With the Euler-Lagrange equation
-
-    (d^2/dt^2 + w^2)^2 d^2 q / dt^2 = 0
-
-q is a sum of 1, t, cos wt, sin wt, t cos wt and t sin wt, which begins with the target's motion and
-ends at rest. Within a period of the mode this takes no more force than the target's: the force
-need not hold the specimen where it is, and a mass that is not there does not help to.
+The target slows down on its path. That alone would hold the specimen where it is, which takes more
+force than the test: there the inertia of the whole structure balances a part of the specimen's
+force, and a computed mass at rest has none. So meanwhile the specimen is unloaded: each of its modes
+moves back by its force over its stiffness.
 """
 
 import math
@@ -19,66 +15,54 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.force_controller.force_control import planned_acceleration
-
-SHORTEST, LONGEST = 0.1, 0.5
-"""Of a stop, s: ten periods of an oil column of 100 Hz; a fault should end sooner than that."""
+SLOWED, LONGEST = 0.1, 0.5
+"""Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in which
+the specimen is unloaded. Slower modes are held."""
+UNLOADED = 0.75
+"""The same time over the period of the specimen's slowest mode: its mass takes 0.3 of the force that
+is taken away."""
 
 
 class StopPath(NamedTuple):
-    """Motions to rest of the n modes of a specimen.
+    """How the n modes of a specimen are unloaded.
 
     Attributes
     ----------
     modes, to_modes : ndarray
-        Displacements of the axes of each mode, and their inverse; shape (n, n).
+        Displacements of the axes in each mode, of mass 1, and their inverse; shape (n, n).
     squares : ndarray
-        Squares of their frequencies, shape (n,), 1/s^2.
-    motions : ndarray
-        Displacement, velocity and acceleration at each step, per those at the beginning; shape (n,
-        N + 1, 3, 3).
-    begin : ndarray
-        Room for the latter, shape (n, 3).
-    beside : ndarray
-        Room for the displacement where a mode will rest, and the force that is not elastic, (n, 2).
+        Stiffness of each mode, shape (n,), 1/s^2; 0 if it is held.
+    steps : int
+        Until rest.
+    slowing : int
+        Until the target rests.
+    dt : float
+        Sampling period, s.
     """
 
     modes: Floats
     to_modes: Floats
     squares: Floats
-    motions: Floats
-    begin: Floats
-    beside: Floats
+    steps: int
+    slowing: int
+    dt: float
 
 
-def stop_path(mass: Floats, stiffness: Floats, dt: float) -> StopPath:
-    """Find the motions to rest in one period of the slowest mode of a specimen."""
+def stop_path(mass: Floats, stiffness: Floats, horizon: int, dt: float) -> StopPath:
+    """Find the modes of a specimen, shapes (n, n), and the time of a stop with a plan so long."""
     squares, modes = eigh(stiffness, mass)
-    squares = np.maximum(squares, (2.0 * math.pi / LONGEST) ** 2)
-    steps = math.ceil(max(SHORTEST, 2.0 * math.pi / math.sqrt(squares[0])) / dt - 1e-9)
-    motions = np.empty((len(squares), steps + 1, 3, 3))
-    t = dt * np.arange(steps + 1)
-    for motion, w in zip(motions, np.sqrt(squares).tolist(), strict=True):
-        wave, zero = np.exp(1j * w * t), 0.0 * t
-        waves = [np.array([(1j * w) ** k * wave, ((1j * w) ** k * t + k * (1j * w) ** (k - 1)) * wave]) for k in range(3)]
-        lines = [(zero + 1.0, t), (zero, zero + 1.0), (zero, zero)]
-        of_all = np.array([[*line, *each.real, *each.imag] for line, each in zip(lines, waves, strict=True)])
-        ends = np.vstack([of_all[:, :, 0], of_all[:, :, -1]])
-        scale = np.abs(ends).max(axis=0)
-        weights = np.linalg.inv(ends / scale)[:, :3] / scale[:, np.newaxis]
-        motion[:] = of_all.transpose(2, 0, 1) @ weights
-    n = len(squares)
-    return StopPath(
-        modes, np.linalg.inv(modes), squares, motions, np.zeros((n, 3)), np.zeros((n, 2))
-    )
+    radians, slowing = 2.0 * math.pi * UNLOADED, 2 * min(horizon, round(SLOWED / 2 / dt))
+    squares[squares < (radians / LONGEST) ** 2] = 0.0
+    times = radians / np.sqrt(squares[squares > 0.0])
+    steps = max(slowing, math.ceil(times.max(initial=0.0) / dt - 1e-9))
+    return StopPath(modes, np.linalg.inv(modes), squares, steps, slowing, dt)
 
-RULE = int(__import__("os").environ.get("WS_RULE", "1"))
 
 @compiled
-def come_to_rest(p: StopPath, plan: Floats, dt: float, path: Floats) -> None:
-    """Bring a target to rest, at a place where the specimen's force is 0.
+def come_to_rest(p: StopPath, plan: Floats, path: Floats) -> None:
+    """Slow a target down on its path, and unload the specimen.
 
-    The specimen unloads as the assumed one, or, where it is stiffer, to where the test has begun.
+    It unloads as the assumed one; where it is stiffer, to where the test has begun.
 
     Parameters
     ----------
@@ -86,39 +70,62 @@ def come_to_rest(p: StopPath, plan: Floats, dt: float, path: Floats) -> None:
         Of the specimen.
     plan : ndarray
         Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
-    dt : float
-        Sampling period, s.
     path : ndarray
         The target on its way to rest at the same step and the coming ones, shape (m, 3, n). The
         result.
     """
-    n, steps = len(p.squares), p.motions.shape[1] - 1
+    slow_down(plan, p.slowing, p.dt, path)
+    n, end, w = len(p.squares), p.slowing // 2, 2.0 * math.pi / p.steps
     for m in range(n):
-        x = v = a = f = 0.0
+        x = a = f = 0.0
         for i in range(n):
-            x += p.to_modes[m, i] * plan[0, 0, i]
-            v += p.to_modes[m, i] * plan[0, 1, i]
-            a += p.to_modes[m, i] * planned_acceleration(plan, i, dt)
-            f += p.modes[i, m] * plan[0, 2, i]
-        back = (f - a) / p.squares[m]
-        if RULE == 1 and back * x > 0.0 and abs(back) > abs(x):
+            x += p.to_modes[m, i] * plan[end, 0, i]
+            a += p.to_modes[m, i] * (plan[end, 1, i] - plan[end - 1, 1, i]) / p.dt
+            f += p.modes[i, m] * plan[end, 2, i]
+        back = (f - a) / p.squares[m] if p.squares[m] > 0.0 else 0.0
+        if back * x > 0.0 and abs(back) > abs(x):
             back = x
-        if RULE == 2 and back * x > 0.0 and abs(back) > abs(x):
-            back = x
-        if RULE == 2 and back * x < 0.0:
-            back = 0.0
-        p.begin[m, 0], p.begin[m, 1], p.begin[m, 2] = back, v, a
-        p.beside[m, 0], p.beside[m, 1] = x - back, f - a - p.squares[m] * back
-    path[:] = 0.0
-    for j in range(len(path)):
-        k = min(j, steps)
-        for m in range(n):
-            motion, begin = p.motions[m, k], p.begin[m]
-            q = motion[0, 0] * begin[0] + motion[0, 1] * begin[1] + motion[0, 2] * begin[2]
-            v = motion[1, 0] * begin[0] + motion[1, 1] * begin[1] + motion[1, 2] * begin[2]
-            a = motion[2, 0] * begin[0] + motion[2, 1] * begin[1] + motion[2, 2] * begin[2]
-            f = a + p.squares[m] * q + left_open(k, steps) * p.beside[m, 1]
+        for j in range(len(path)):
+            k = min(j, p.steps)
+            q = (k - math.sin(w * k) / w) / p.steps  # without a corner of the acceleration
+            v = (1.0 - math.cos(w * k)) / (p.steps * p.dt)
+            a = w * math.sin(w * k) / (p.steps * p.dt**2)
             for i in range(n):
-                path[j, 0, i] += p.modes[i, m] * (q + p.beside[m, 0])
-                path[j, 1, i] += p.modes[i, m] * v
-                path[j, 2, i] += p.to_modes[m, i] * f
+                path[j, 0, i] -= p.modes[i, m] * back * q
+                path[j, 1, i] -= p.modes[i, m] * back * v
+                path[j, 2, i] -= p.to_modes[m, i] * back * (a + p.squares[m] * q)
+
+
+@compiled
+def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
+    """Slow a target down to rest on its path.
+
+    The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
+    cos(pi t / T)) / 2 and its integral theta, the slowed target is at x*(theta), with the velocity
+    w v*(theta) and the force f*(theta). So it needs T / 2 of the plan.
+
+    Parameters
+    ----------
+    plan : ndarray
+        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
+    steps : int
+        Until rest.
+    dt : float
+        Sampling period, s.
+    slowed : ndarray
+        The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
+    """
+    for j in range(len(slowed)):
+        taken = min(j, steps)
+        phase = math.pi * taken / steps
+        theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
+        before = min(int(theta), len(plan) - 2)
+        for row in range(3):
+            factor = left_open(taken, steps) if row == 1 else 1.0
+            for i in range(slowed.shape[2]):
+                now, then = plan[before, row, i], plan[before + 1, row, i]
+                slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
+        part = theta - before  # the velocity is linear between the points
+        for i in range(slowed.shape[2]):
+            rise = plan[before + 1, 1, i] - plan[before, 1, i]
+            slowed[j, 0, i] -= 0.5 * part * (1.0 - part) * dt * rise

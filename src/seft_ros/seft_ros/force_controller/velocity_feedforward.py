@@ -241,7 +241,7 @@ def feedforward_stop(
     commands : ndarray
         From the step after that of the plan on, shape (N, n), V. The result.
     """
-    come_to_rest(stop, plan, parameters.dt, path)
+    come_to_rest(stop, plan, path)
     for j in range(len(commands)):
         points = path[j + 1 :]
         as_sample(points, parameters.dt, state.sample)
@@ -322,5 +322,5 @@ class VelocityFeedforward(TargetFollower):
         sizes = {"n": n, "memory": memory, "known": known_flows}
         state = zeros(FeedforwardState, sizes | {"taps": needed, "needed": needed + 1})
         functions = feedforward_step, feedforward_stop
-        path = stop_path(mass, stiffness, dt)
+        path = stop_path(mass, stiffness, horizon, dt)
         super().__init__(parameters, state, functions, path, horizon, needed + 1)
