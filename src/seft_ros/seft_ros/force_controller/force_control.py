@@ -1,6 +1,5 @@
 """Force control: the interface of all controllers, that by transfer functions, and followers."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Protocol
@@ -14,7 +13,6 @@ from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multip
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
-from seft_plant_sim.simulated.rig_step import left_open
 
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps

@@ -403,10 +403,10 @@ class Interlock:
         """Give the commands of a stop, from a step on; shape (m, n), V.
 
         It goes along the plan of a controller that has a ``stop``, unless sensors, valves or the
-        controller are at fault, or it takes a valve at its limit. Then, and else at once, the valve closes, in some time: a valve
-        that closes at once on a moving mass makes a pressure surge in the oil. Before a trip, it is
-        the stop that would begin at the last answered step; nothing where that is to close at once,
-        which the rig does by itself.
+        controller are at fault, or the plan takes a valve to its limit. Then, and else at once, the
+        valve closes, in some time: a valve that closes at once on a moving mass makes a pressure
+        surge in the oil. Before a trip, it is the stop that would begin at the last answered step;
+        nothing where that is to close at once, which the rig does by itself.
         """
         state, first = self.state, self.step_index
         stopping, is_fault_free = self._stopping, state.flags[TRIP] in VALID_CAUSES

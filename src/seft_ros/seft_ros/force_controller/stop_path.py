@@ -1,9 +1,8 @@
 """The motion that brings a rig to rest, from the motion of its target and without a sample.
 
 The target slows down on its path. That alone would hold the specimen where it is, which takes more
-force than the test: there the inertia of the whole structure balances a part of the specimen's
-force, and a computed mass at rest has none. So meanwhile the specimen is unloaded: each of its modes
-moves back by its force over its stiffness.
+force than the test: there, inertia balances a part of the specimen's force. So meanwhile the
+specimen is unloaded: each of its modes moves back by its force over its stiffness.
 """
 
 import math
@@ -18,11 +17,11 @@ from seft_plant_sim.simulated.rig_step import left_open
 from seft_ros.force_controller.force_control import planned_acceleration
 
 SLOWED, LONGEST = 0.1, 0.5
-"""Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in which
-the specimen is unloaded. Slower modes are held."""
+"""Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in
+which the specimen is unloaded. Slower modes are held."""
 UNLOADED = 0.75
-"""The same time over the period of the specimen's slowest mode: its mass takes 0.3 of the force that
-is taken away."""
+"""Time of a stop over the period of the specimen's slowest mode, if that is longer: moving the mass
+back then takes 0.3 of the force that is taken away."""
 
 
 class StopPath(NamedTuple):
