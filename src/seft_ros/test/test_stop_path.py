@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import eigh
-from seft_ros.force_controller.stop_path import come_to_rest, slow_down, stop_path
+from seft_ros.force_controller.stop_path import path_to_rest, slow_down, stop_path
 
 DT = 0.002
 POINTS = 26
@@ -43,7 +43,7 @@ def stopped(stiffness, phase, assumed=None):
     plan = np.stack([np.outer(x, mode), np.outer(v, mode), np.outer(x, by_x)], axis=1)
     stop = stop_path(mass, stiffness if assumed is None else assumed, POINTS - 1, DT)
     path = np.empty((stop.steps + 10, 3, len(stiffness)))
-    come_to_rest(stop, plan, path)
+    path_to_rest(stop, plan, path)
     acceleration = np.gradient(path[:, 1], DT, axis=0)
     return np.abs(by_x).max(), path, path[:, 0] @ stiffness + acceleration @ mass
 

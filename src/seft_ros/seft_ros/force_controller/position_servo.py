@@ -43,7 +43,7 @@ from seft_ros.force_controller.force_control import (
 )
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
-from seft_ros.force_controller.stop_path import StopPath, come_to_rest, stop_path
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
 from seft_ros.reference_force.observers import sensor_noise
 
 SERVO_ERRORS = 3
@@ -241,11 +241,11 @@ def servo_stop(
     parameters, state
         See `servo_step`; the state is used up.
     stop, plan, path
-        See `come_to_rest`; the last is room of shape (N + late + taps + 3, 3, n).
+        See `path_to_rest`; the last is room of shape (N + late + taps + 3, 3, n).
     commands : ndarray
         From the step after that of the plan on, shape (N, n), m. The result.
     """
-    come_to_rest(stop, plan, path)
+    path_to_rest(stop, plan, path)
     for j in range(len(commands)):
         move_servos(parameters, state, path[j + 1 :], commands[j])
 

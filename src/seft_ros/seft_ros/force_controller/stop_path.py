@@ -16,7 +16,7 @@ from seft_plant_sim.simulated.rig_step import left_open
 
 from seft_ros.force_controller.force_control import planned_acceleration
 
-SLOWED, LONGEST = 0.1, 0.5
+SLOWED, LONGEST_UNLOADING = 0.1, 0.5
 """Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in
 which the specimen is unloaded. Slower modes are held."""
 UNLOADED = 0.75
@@ -56,14 +56,14 @@ def stop_path(mass: Floats, stiffness: Floats, horizon: int, dt: float) -> StopP
     """Find the modes of a specimen, shapes (n, n), and the time of a stop with a plan so long."""
     squares, modes = eigh(stiffness, mass)
     radians, slowing = 2.0 * math.pi * UNLOADED, 2 * min(horizon, round(SLOWED / 2 / dt))
-    squares[squares < (radians / LONGEST) ** 2] = 0.0
+    squares[squares < (radians / LONGEST_UNLOADING) ** 2] = 0.0
     times = radians / np.sqrt(squares[squares > 0.0])
     steps = max(slowing, math.ceil(times.max(initial=0.0) / dt - 1e-9))
     return StopPath(mass, modes, np.linalg.inv(modes), squares, steps, slowing, dt)
 
 
 @compiled
-def come_to_rest(p: StopPath, plan: Floats, path: Floats) -> None:
+def path_to_rest(p: StopPath, plan: Floats, path: Floats) -> None:
     """Slow a target down on its path, and unload the specimen.
 
     It unloads as the assumed one; where it is stiffer, to where the test has begun.
@@ -115,7 +115,7 @@ def slow_down(p: StopPath, plan: Floats, slowed: Floats) -> None:
     Parameters
     ----------
     p, plan
-        See `come_to_rest`.
+        See `path_to_rest`.
     slowed : ndarray
         The slowed target at the same step and the coming ones, shape (m, 3, n). The result; its
         forces are those of the specimen.

@@ -41,7 +41,7 @@ from seft_ros.force_controller.force_control import (
 )
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
-from seft_ros.force_controller.stop_path import StopPath, come_to_rest, stop_path
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 
@@ -236,12 +236,12 @@ def feedforward_stop(
     parameters, state
         See `feedforward_step`; the state is used up.
     stop, plan, path
-        See `come_to_rest`; the last is room of shape (N + taps + 2, 3, n). The path takes the place
+        See `path_to_rest`; the last is room of shape (N + taps + 2, 3, n). The path takes the place
         of samples.
     commands : ndarray
         From the step after that of the plan on, shape (N, n), V. The result.
     """
-    come_to_rest(stop, plan, path)
+    path_to_rest(stop, plan, path)
     for j in range(len(commands)):
         points = path[j + 1 :]
         as_sample(points, parameters.dt, state.sample)
