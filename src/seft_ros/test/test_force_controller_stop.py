@@ -59,3 +59,13 @@ def test_while_sensors_and_valve_are_fault_free_a_trip_follows_the_plan(kind, be
     np.testing.assert_array_equal(guarded.stop(6), guarded.stop(4)[2:])
     assert guarded.stop(99).shape == (1, 2)
     assert ("acceleration -1.1 m/s^2 on axis east" in guarded.reason) == beyond_limit
+
+
+def test_a_plan_that_takes_a_valve_at_its_limit_is_not_followed():
+    guarded, last = answered(Planned()), np.array([4.0, 8.0])
+    guarded.controller.stop = lambda plan: np.array([[0.1, 10.0], [0.1, 0.1]])
+    sample = sample_of(4)
+    sample[2] = -1.1
+    for age in range(8):
+        command = stepped(guarded, 4 + age, target_of(4 + age), sample)
+        np.testing.assert_allclose(command, left(age) * last, atol=1e-15)

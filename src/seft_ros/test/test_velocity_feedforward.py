@@ -8,7 +8,6 @@ from experiments_at_hand import load
 from scipy.integrate import solve_ivp
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.judge.valve_model import ValveModel
-from seft_ros.force_controller.force_control import slow_down, stop_steps
 from seft_ros.force_controller.oil_column import crossover
 from seft_ros.force_controller.velocity_feedforward import (
     DELAY_ERROR,
@@ -188,22 +187,6 @@ def test_the_friction_of_a_piston_presses_the_oil_like_a_force():
 def test_horizon_that_is_too_short_is_refused():
     with pytest.raises(InputError, match=r"horizon is 0\.02 s, .* make it longer"):
         controller(horizon=10)
-
-
-def test_a_stop_stays_on_the_path_of_its_plan_and_ends_in_rest():
-    w, points = 2 * math.pi * 3.0, 26
-    time = DT * np.arange(points)
-    plan = np.stack([np.sin(w * time), w * np.cos(w * time), 100.0 * np.cos(w * time)], axis=1)
-    steps = stop_steps(points, DT)
-    assert steps * DT == pytest.approx(0.1)
-    slowed = np.empty((steps + 10, 3, 1))
-    slow_down(np.ascontiguousarray(plan[:, :, np.newaxis]), steps, DT, slowed)
-    x, v, f = slowed[:, :, 0].T
-    np.testing.assert_allclose(f, 100.0 * np.sqrt(1 - x**2), atol=0.5)
-    np.testing.assert_allclose(v[: steps // 2 + 1 : steps // 2], [w, 0.5 * w * f[steps // 2] / 100])
-    np.testing.assert_allclose(np.gradient(x, DT)[1:-1], v[1:-1], atol=0.05)
-    assert x[-1] == pytest.approx(np.sin(w * time[-1]))
-    np.testing.assert_allclose(v[steps:], 0.0, atol=1e-12)
 
 
 def test_a_stop_brings_the_piston_to_the_end_of_the_slowed_plan():

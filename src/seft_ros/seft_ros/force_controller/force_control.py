@@ -1,6 +1,5 @@
 """Force control: the interface of all controllers, that by transfer functions, and followers."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Protocol
@@ -14,7 +13,6 @@ from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multip
 from seft_plant_sim.judge.known_rig import command_limit
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
-from seft_plant_sim.simulated.rig_step import left_open
 
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
@@ -361,50 +359,6 @@ def horizon_of(section: dict[str, Any], dt: float, needed: int, driven: str) -> 
     return horizon
 
 
-STOP_TIME = 0.1
-"""Longest duration of a stop along the plan, s: ten periods of an oil column of 100 Hz."""
-
-
-def stop_steps(points: int, dt: float) -> int:
-    """Give the steps of a stop: `STOP_TIME`, or twice a shorter plan of so many points."""
-    return 2 * min(points - 1, round(STOP_TIME / 2 / dt))
-
-
-@compiled
-def slow_down(plan: Floats, steps: int, dt: float, slowed: Floats) -> None:
-    """Slow a target down to rest, on its path and without a sample.
-
-    The plan has the target's motion x*(t), v*(t) and force f*(t). With the progress w(t) = (1 +
-    cos(pi t / T)) / 2 and its integral theta, the slowed target is at x*(theta), with the velocity
-    w v*(theta) and the force f*(theta). So it needs T / 2 of the plan.
-
-    Parameters
-    ----------
-    plan : ndarray
-        Displacement, velocity and force of the target at a step and the coming ones, (p, 3, n).
-    steps : int
-        Until rest, see `stop_steps`.
-    dt : float
-        Sampling period, s.
-    slowed : ndarray
-        The slowed target at the same step and the coming ones, shape (m, 3, n). The result.
-    """
-    for j in range(len(slowed)):
-        taken = min(j, steps)
-        phase = math.pi * taken / steps
-        theta = 0.5 * (taken + steps / math.pi * math.sin(phase))
-        before = min(int(theta), len(plan) - 2)
-        for row in range(3):
-            factor = left_open(taken, steps) if row == 1 else 1.0
-            for i in range(slowed.shape[2]):
-                now, then = plan[before, row, i], plan[before + 1, row, i]
-                slowed[j, row, i] = factor * (now + (theta - before) * (then - now))
-        part = theta - before  # the velocity is linear between the points
-        for i in range(slowed.shape[2]):
-            rise = plan[before + 1, 1, i] - plan[before, 1, i]
-            slowed[j, 0, i] -= 0.5 * part * (1.0 - part) * dt * rise
-
-
 @compiled
 def planned_acceleration(points: Floats, i: int, dt: float) -> float:
     """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
@@ -471,19 +425,19 @@ class TargetFollower:
         parameters: Any,
         state: Any,
         functions: tuple[Callable[..., Any], Callable[..., Any]],
+        path: Any,
         horizon: int,
         needed: int,
-        dt: float,
     ) -> None:
         self.parameters, self.state = parameters, state
-        n, steps, (step, stop) = len(state.errors), stop_steps(1 + horizon, dt), functions
+        n, steps, (step, stop) = len(state.errors), path.steps, functions
         self.shape = 1 + horizon, 3
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
-        self._command, both = np.zeros(n), (parameters, state)
+        self._command, both, self._path = np.zeros(n), (parameters, state), path
         self._room = np.zeros((steps + needed + 2, 3, n)), np.zeros((steps, n))
         self._used_up = type(state)(*(np.zeros_like(each) for each in state))
         self._step = entry_point(step, *both, self._points, self._measured, self._command)
-        self._stop = entry_point(stop, *both, self._points, *self._room)
+        self._stop = entry_point(stop, *both, path, self._points, *self._room)
         self.reset()
 
     def reset(self) -> None:
@@ -517,5 +471,5 @@ class TargetFollower:
         """
         for used, own in zip(self._used_up, self.state, strict=True):
             used[...] = own
-        self._stop(self.parameters, self._used_up, plan, *self._room)
+        self._stop(self.parameters, self._used_up, self._path, plan, *self._room)
         return self._room[-1].copy()

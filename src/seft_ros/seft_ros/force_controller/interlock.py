@@ -403,10 +403,10 @@ class Interlock:
         """Give the commands of a stop, from a step on; shape (m, n), V.
 
         It goes along the plan of a controller that has a ``stop``, unless sensors, valves or the
-        controller are at fault. Then, and else at once, the valve closes, in some time: a valve
-        that closes at once on a moving mass makes a pressure surge in the oil. Before a trip, it is
-        the stop that would begin at the last answered step; nothing where that is to close at once,
-        which the rig does by itself.
+        controller are at fault, or the plan takes a valve to its limit. Then, and else at once, the
+        valve closes, in some time: a valve that closes at once on a moving mass makes a pressure
+        surge in the oil. Before a trip, it is the stop that would begin at the last answered step;
+        nothing where that is to close at once, which the rig does by itself.
         """
         state, first = self.state, self.step_index
         stopping, is_fault_free = self._stopping, state.flags[TRIP] in VALID_CAUSES
@@ -414,7 +414,10 @@ class Interlock:
             last, stopping = state.drive, np.zeros((0, len(state.drive)))
             if is_fault_free and self.parameters.has_stop:
                 controller: Any = self.controller
-                stopping = np.vstack([last, controller.stop(state.plan)])
+                own = controller.stop(state.plan)
+                if first >= 0 and np.abs(own).max() >= self.parameters.tracking.limit:
+                    own = own[:0]  # no valve can follow it: the target was led astray
+                stopping = np.vstack([last, own])
                 last = stopping[-1]
             elif first < 0:
                 return stopping

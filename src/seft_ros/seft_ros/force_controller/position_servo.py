@@ -23,7 +23,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first
-from seft_plant_sim.judge.known_rig import command_limit, known_responses
+from seft_plant_sim.judge.known_rig import command_limit, known_responses, read_specimen
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.judge.valve_following import (
     LARGEST_DELAY_ERROR,
@@ -40,10 +40,10 @@ from seft_ros.force_controller.force_control import (
     GAIN_ERROR,
     TargetFollower,
     horizon_of,
-    slow_down,
 )
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
 from seft_ros.reference_force.observers import sensor_noise
 
 SERVO_ERRORS = 3
@@ -227,7 +227,12 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
 
 @compiled
 def servo_stop(
-    parameters: ServoParameters, state: ServoState, plan: Floats, slowed: Floats, commands: Floats
+    parameters: ServoParameters,
+    state: ServoState,
+    stop: StopPath,
+    plan: Floats,
+    path: Floats,
+    commands: Floats,
 ) -> None:
     """Find the commands that bring the rig to rest along a plan.
 
@@ -235,14 +240,14 @@ def servo_stop(
     ----------
     parameters, state
         See `servo_step`; the state is used up.
-    plan, slowed : ndarray
-        See `slow_down`; the second is room of shape (N + late + taps + 3, 3, n).
+    stop, plan, path
+        See `path_to_rest`; the last is room of shape (N + late + taps + 3, 3, n).
     commands : ndarray
         From the step after that of the plan on, shape (N, n), m. The result.
     """
-    slow_down(plan, len(commands), parameters.dt, slowed)
+    path_to_rest(stop, plan, path)
     for j in range(len(commands)):
-        move_servos(parameters, state, slowed[j + 1 :], commands[j])
+        move_servos(parameters, state, path[j + 1 :], commands[j])
 
 
 LEAST_GAIN = 0.2
@@ -311,7 +316,8 @@ class PositionServo(TargetFollower):
         sizes = {"n": n, "states": states, "memory": math.floor(late.max()) + 4, "taps": taps}
         state = zeros(ServoState, sizes)
         functions = servo_step, servo_stop
-        super().__init__(parameters, state, functions, horizon, needed, dt)
+        path = stop_path(*read_specimen(section, axes, own), horizon, dt)
+        super().__init__(parameters, state, functions, path, horizon, needed)
 
 
 class InvertedServo:

@@ -38,10 +38,10 @@ from seft_ros.force_controller.force_control import (
     as_sample,
     horizon_of,
     planned_acceleration,
-    slow_down,
 )
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 
@@ -224,8 +224,9 @@ def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: fl
 def feedforward_stop(
     parameters: FeedforwardParameters,
     state: FeedforwardState,
+    stop: StopPath,
     plan: Floats,
-    slowed: Floats,
+    path: Floats,
     commands: Floats,
 ) -> None:
     """Find the commands that bring the rig to rest along a plan.
@@ -234,15 +235,15 @@ def feedforward_stop(
     ----------
     parameters, state
         See `feedforward_step`; the state is used up.
-    plan, slowed : ndarray
-        See `slow_down`; the second is room of shape (N + taps + 2, 3, n). The slowed target takes
-        the place of samples.
+    stop, plan, path
+        See `path_to_rest`; the last is room of shape (N + taps + 2, 3, n). The path takes the place
+        of samples.
     commands : ndarray
         From the step after that of the plan on, shape (N, n), V. The result.
     """
-    slow_down(plan, len(commands), parameters.dt, slowed)
+    path_to_rest(stop, plan, path)
     for j in range(len(commands)):
-        points = slowed[j + 1 :]
+        points = path[j + 1 :]
         as_sample(points, parameters.dt, state.sample)
         feedforward_step(parameters, state, points, state.sample, commands[j])
 
@@ -321,4 +322,5 @@ class VelocityFeedforward(TargetFollower):
         sizes = {"n": n, "memory": memory, "known": known_flows}
         state = zeros(FeedforwardState, sizes | {"taps": needed, "needed": needed + 1})
         functions = feedforward_step, feedforward_stop
-        super().__init__(parameters, state, functions, horizon, needed + 1, dt)
+        path = stop_path(mass, stiffness, horizon, dt)
+        super().__init__(parameters, state, functions, path, horizon, needed + 1)
