@@ -27,13 +27,13 @@ CHANNELS = {
 TILT = ("tilt:=[1.0, 0.03, -0.02, 0.04, 1.0, 0.03, -0.03, 0.02, 1.0]",)
 
 
-def percent(words: tuple, axes: int) -> str:
+def percent(words, axes):
     """Error of a test; T: it trips."""
     error = run(words, axes)[1]
     return "T" if error is None else f"{100 * error:.1g}" if error < 0.01 else f"{100 * error:.2g}"
 
 
-def cells(words: tuple, sensors: tuple, axes: int) -> str:
+def cells(words, sensors, axes):
     """Errors if nothing is known, told, and identified."""
     true = (*words, *(f"{SENSORS}{word}" for word in sensors))
     told = (f"calibration.{word}" for word in sensors)
@@ -41,7 +41,7 @@ def cells(words: tuple, sensors: tuple, axes: int) -> str:
     return ", ".join(percent((*true, *known), axes) for known in tests)
 
 
-def main() -> None:
+def main():
     """Print the table."""
     motion = motion_words(sys.argv[1]) if len(sys.argv) > 1 else ()
     for name, sensors in CHANNELS.items():
