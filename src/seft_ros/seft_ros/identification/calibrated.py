@@ -308,7 +308,7 @@ class MultisineResult:
             damping
             | self.calibrated.parameters()
             | {
-                "specimen.mass": fit.mass.ravel().tolist(),
+                "specimen.mass": significant(fit.mass, fit.mass_error).ravel().tolist(),
                 "specimen.mass_error": fit.mass_error.diagonal().tolist(),
                 "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
                 "calibration.force_scale_error": self.force_scale_error.tolist(),
