@@ -4,6 +4,7 @@ Undefined results (of a command that is zero throughout, of too few samples, of 
 finite) are NaN.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -209,20 +210,22 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
-        drawn = (with_motion(one, *sizes, dt) for one in _noise(measured, equivalent.mass))
-        noise = [EquivalentMotion(structure, dt).advance(one) for one in drawn]
-        of_noise = float(np.sqrt(np.mean([law.difference(one) ** 2 for one in noise])))
+        of_noise = [
+            law.difference(EquivalentMotion(structure, dt).advance(with_motion(one, *sizes, dt)))
+            for one in _noise(measured, equivalent.mass)
+        ]
         band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
         frequency = spectrum_frequencies(band, dt)
         spectra = [
             np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
             for a in (asked, tested)
         ]
-    return MotionDifference(natural, damping, first, specimen, of_noise, band, frequency, *spectra)
+    noise = float(np.sqrt(np.mean(np.square(of_noise))))
+    return MotionDifference(natural, damping, first, specimen, noise, band, frequency, *spectra)
 
 
-def _noise(samples: Floats, mass: Floats) -> Floats:
-    """Draw noise like that of displacement, acceleration and force, shape (`_DRAWN`, N, 4, n).
+def _noise(samples: Floats, mass: Floats) -> Iterator[Floats]:
+    """Draw noise like that of displacement, acceleration and force, shape (N, 4, n), some times.
 
     That of the last two is the size of f - M a, in which a motion that no noise is, such as that of
     the oil column, cancels.
@@ -232,7 +235,11 @@ def _noise(samples: Floats, mass: Floats) -> Floats:
     size = noise_of(f - inertial) / np.maximum(np.hypot(noise_of(f), noise_of(inertial)), 1e-300)
     sizes = np.minimum(size, 1.0) * noise_of(samples)
     sizes[DISPLACEMENT] = noise_of(samples[:, DISPLACEMENT])
-    return np.random.default_rng(0).standard_normal((_DRAWN, *samples.shape)) * sizes
+    rng = np.random.default_rng(0)
+    for _ in range(_DRAWN):
+        drawn = rng.standard_normal(samples.shape)
+        drawn *= sizes
+        yield drawn
 
 
 def spectrum_frequencies(band_hz: tuple[float, float], dt: float) -> Floats:
