@@ -19,6 +19,8 @@ from seft_ros.force_controller.force_control import planned_acceleration
 SLOWED, LONGEST_UNLOADING = 0.1, 0.5
 """Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in
 which the specimen is unloaded. Slower modes are held."""
+MOST_STEPS = 500
+"""Of unloading: a controller finds a stop each 10 ms between two samples, 1 us a step of it."""
 UNLOADED = 0.75
 """Time of a stop over the period of the specimen's slowest mode, if that is longer: moving the mass
 back then takes 0.3 of the force that is taken away."""
@@ -56,7 +58,8 @@ def stop_path(mass: Floats, stiffness: Floats, horizon: int, dt: float) -> StopP
     """Find the modes of a specimen, shapes (n, n), and the time of a stop with a plan so long."""
     squares, modes = eigh(stiffness, mass)
     radians, slowing = 2.0 * math.pi * UNLOADED, 2 * min(horizon, round(SLOWED / 2 / dt))
-    squares[squares < (radians / LONGEST_UNLOADING) ** 2] = 0.0
+    longest = min(LONGEST_UNLOADING, MOST_STEPS * dt)
+    squares[squares < (radians / longest) ** 2] = 0.0
     times = radians / np.sqrt(squares[squares > 0.0])
     steps = max(slowing, math.ceil(times.max(initial=0.0) / dt - 1e-9))
     return StopPath(mass, modes, np.linalg.inv(modes), squares, steps, slowing, dt)
