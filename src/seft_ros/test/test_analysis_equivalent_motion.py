@@ -78,6 +78,15 @@ def test_a_test_of_a_few_samples_has_a_summary(config, count):
     json.dumps(summary, allow_nan=False)
 
 
+@pytest.mark.parametrize("size", [1e20, 1e60])
+def test_a_test_that_went_unstable_has_a_summary(size):
+    test = experiment()
+    states = (
+        states_of(test, ground(test)) * np.geomspace(1.0, size, COUNT)[:, np.newaxis, np.newaxis]
+    )
+    json.dumps(summarise(recording_of(test, ground(test), states)), allow_nan=False)
+
+
 @pytest.mark.parametrize("law", [FRICTION, {"simulated.specimen.kind": "bouc_wen"}])
 def test_of_the_specimen_nothing_but_the_mass_counts(law):
     test = experiment().changed({"rig": {"simulated.specimen.yield_displacement": 0.002, **law}})
