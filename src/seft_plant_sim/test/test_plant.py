@@ -11,8 +11,13 @@ from bare_rig import BareRig, driven, make_rig, rig_section
 from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.lti import TransferFunction, state_space_response
-from seft_plant_sim.simulated.actuator import Hydraulics
-from seft_plant_sim.simulated.continuous_model import delayed_force, imposed_motion, servo_hydraulic
+from seft_plant_sim.simulated.actuator import Hydraulics, InnerLoop
+from seft_plant_sim.simulated.continuous_model import (
+    delayed_force,
+    imposed_motion,
+    servo_hydraulic,
+    with_inner_loop,
+)
 from seft_plant_sim.simulated.specimen import Specimen
 
 PAPER = Specimen(np.array([[52.7]]), np.array([[903.5]]), np.array([[2.11e5]]))
@@ -96,6 +101,24 @@ def test_an_imposed_motion_has_its_response_and_the_specimens_force():
 def hydraulics(axes=("x",), **values):
     section = rig_section("actuator.", **values)
     return Hydraulics.from_parameters(group(section, "simulated.actuator"), axes)
+
+
+@pytest.mark.parametrize("term", ["proportional", "integral", "derivative", "delta_p"])
+def test_the_inner_loop_closes_the_valve_by_each_of_its_terms(term):
+    terms = {"proportional": 800.0, "integral": 0.0, "derivative": 0.0, "delta_p": 0.0}
+    terms |= {term: {"proportional": 2000.0, "delta_p": 1e-4}.get(term, 300.0)}
+    given = {name: np.array([value]) for name, value in terms.items()}
+    loop = InnerLoop(gain=np.array([0.9]), derivative_filter=np.array([40.0]), **given)
+    valve = servo_hydraulic(PAPER, hydraulics(), linear=True)
+    closed = with_inner_loop(valve, loop, np.ones(1))
+    s, w = 2j * np.pi * np.array([1.0, 8.0, 30.0]), 2 * np.pi * 40.0
+    states = np.linalg.solve(s[:, np.newaxis, np.newaxis] * np.eye(len(valve.a)) - valve.a, valve.b)
+    x, p = states[:, 0, 0], states[:, 2, 0]
+    of_error = terms["proportional"] + terms["integral"] / s + terms["derivative"] * s * w / (s + w)
+    wanted = x * of_error * 0.9 / (1.0 + x * of_error + p * terms["delta_p"])
+    none = np.zeros((len(closed.c), 1))
+    found = state_space_response(closed.a, closed.b, closed.c, none, s)[:, 0, 0]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
 def test_the_oil_column_resonates_with_actuator_and_specimen():
