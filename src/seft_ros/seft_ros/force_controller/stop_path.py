@@ -37,8 +37,8 @@ class StopPath(NamedTuple):
         Displacements of the axes in each mode, of mass 1, and their inverse; shape (n, n).
     squares : ndarray
         Stiffness of each mode, shape (n,), 1/s^2; 0 if it is held.
-    steps : int
-        Until rest.
+    begin, steps : int
+        When unloading begins, and until rest.
     slowing : int
         Until the target rests.
     dt : float
@@ -49,6 +49,7 @@ class StopPath(NamedTuple):
     modes: Floats
     to_modes: Floats
     squares: Floats
+    begin: int
     steps: int
     slowing: int
     dt: float
@@ -61,8 +62,9 @@ def stop_path(mass: Floats, stiffness: Floats, horizon: int, dt: float) -> StopP
     longest = min(LONGEST_UNLOADING, MOST_STEPS * dt)
     squares[squares < (radians / longest) ** 2] = 0.0
     times = radians / np.sqrt(squares[squares > 0.0])
-    steps = max(slowing, math.ceil(times.max(initial=0.0) / dt - 1e-9))
-    return StopPath(mass, modes, np.linalg.inv(modes), squares, steps, slowing, dt)
+    begin = slowing // 8  # a rig that misses a few commands goes on as if it had not
+    steps = max(slowing, begin + math.ceil(times.max(initial=0.0) / dt - 1e-9))
+    return StopPath(mass, modes, np.linalg.inv(modes), squares, begin, steps, slowing, dt)
 
 
 @compiled
@@ -82,7 +84,8 @@ def path_to_rest(p: StopPath, plan: Floats, path: Floats) -> None:
         result.
     """
     slow_down(p, plan, path)
-    n, w = len(p.squares), 2.0 * math.pi / p.steps
+    n, steps = len(p.squares), p.steps - p.begin
+    w = 2.0 * math.pi / steps
     for m in range(n):
         x = r = 0.0
         for i in range(n):
@@ -92,9 +95,9 @@ def path_to_rest(p: StopPath, plan: Floats, path: Floats) -> None:
         if back * x > 0.0 and abs(back) > abs(x):
             back = x
         for j in range(len(path)):
-            k = min(j, p.steps)
-            q = (k - math.sin(w * k) / w) / p.steps  # without a corner of the acceleration
-            v = (1.0 - math.cos(w * k)) / (p.steps * p.dt)
+            k = min(max(j - p.begin, 0), steps)
+            q = (k - math.sin(w * k) / w) / steps  # without a corner of the acceleration
+            v = (1.0 - math.cos(w * k)) / (steps * p.dt)
             for i in range(n):
                 path[j, 0, i] -= p.modes[i, m] * back * q
                 path[j, 1, i] -= p.modes[i, m] * back * v
