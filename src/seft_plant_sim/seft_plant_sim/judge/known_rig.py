@@ -114,11 +114,6 @@ def read_specimen(
 ) -> tuple[Floats, Floats]:
     """Read mass (kg) and stiffness (N/m) on the rig, for the axes at some places, each (n, n)."""
     own = np.ix_(list(places), list(places))
-    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")[own]
-    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")[
-        own
-    ]
-    return (
-        np.ascontiguousarray(mass),
-        np.ascontiguousarray(stiffness),
-    )
+    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
+    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")
+    return np.ascontiguousarray(mass[own]), np.ascontiguousarray(stiffness[own])

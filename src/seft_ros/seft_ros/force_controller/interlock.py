@@ -17,15 +17,9 @@ from seft_plant_sim.judge.known_rig import fastest_command
 from seft_plant_sim.limits import beyond_limit, event_ring, is_exceeded
 from seft_plant_sim.simulated.rig_step import left_open
 
+from seft_ros.force_controller import target_distance
 from seft_ros.force_controller.force_control import ForceControl, as_sample
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.target_distance import (
-    TrackingParameters,
-    TrackingState,
-    begin_tracking,
-    off_target,
-    tracking_detector,
-)
 from seft_ros.protection.protected_force import extrapolate, implausible_force
 
 TRIP, STEP, SATURATED, AXIS = range(4)
@@ -70,7 +64,7 @@ class InterlockParameters(NamedTuple):
     has_valve: bool
     dt: float
     fastest: float
-    tracking: TrackingParameters
+    tracking: target_distance.TrackingParameters
 
 
 class InterlockState(NamedTuple):
@@ -84,7 +78,7 @@ class InterlockState(NamedTuple):
     drive: Annotated[Floats, "n"]  # the last fault-free command, V
     plan: Annotated[Floats, "points", "quantities", "n"]  # points for the controller
     sample: Annotated[Floats, 4, "n"]  # for the controller
-    tracking: TrackingState  # of the distance to the target
+    tracking: target_distance.TrackingState  # of the distance to the target
 
 
 @compiled
@@ -135,8 +129,9 @@ def precheck(
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
         if fits and has_target:  # a controller of forces reads them alone
-            target = points[0, 0]
-            away = off_target(parameters.tracking, state.tracking, step, target, measured)
+            away = target_distance.off_target(
+                parameters.tracking, state.tracking, step, points[0, 0], measured
+            )
         if not fits or away >= 0:
             trip(state, OFF_TARGET if fits else IMPLAUSIBLE, step)
             state.flags[AXIS] = away
@@ -269,7 +264,7 @@ class Interlock:
         close_time: float,
         limits: Sequence[float],
         has_valve: bool,
-        tracking: tuple[TrackingParameters, TrackingState],
+        tracking: tuple[target_distance.TrackingParameters, target_distance.TrackingState],
         dt: float,
         fastest: float = math.inf,
     ) -> None:
@@ -330,7 +325,7 @@ class Interlock:
         own = rig or RigAxes.whole(axes)
         names = ("limits.force", "watchdog.saturation_time", "safe.close_time")
         has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-        tracking = tracking_detector(section, axes, own.places, timebase.dt)
+        tracking = target_distance.tracking_detector(section, axes, own.places, timebase.dt)
         force, saturation, closing = (section[name] for name in names)
         if section["actuator.kind"] == POSITION_SERVO:
             closing = math.inf
@@ -364,7 +359,7 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         clear(self.state)
-        begin_tracking(self.state.tracking)
+        target_distance.begin_tracking(self.state.tracking)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
 
     def look(self, index: int, measured: Floats) -> None:

@@ -16,12 +16,7 @@ from seft_plant_sim.compiled import compiled, entry_point, is_finite, kind_of
 from seft_plant_sim.limits import beyond_limit, largest_force_rate, span_steps
 from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.protection.instability import (
-    InstabilityWatch,
-    WatchParameters,
-    WatchState,
-    watch_step,
-)
+from seft_ros.protection import instability
 from seft_ros.reference_force.compensator import has_computed_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce, method_inputs
 
@@ -253,7 +248,7 @@ class ProtectionParameters(NamedTuple):
     ramp_steps: int
     provides_target: bool
     dt: float
-    watch: WatchParameters
+    watch: instability.WatchParameters
 
 
 class ProtectionState(NamedTuple):
@@ -266,7 +261,7 @@ class ProtectionState(NamedTuple):
     progress: Annotated[Floats, 1]  # pace of a target at that point; 1 at the beginning
     implausible_force: Annotated[Floats, "n"]  # force of the step of the fault, N
     implausible_state: Annotated[Floats, 4, "n"]  # its measured state
-    watch: WatchState  # of the instability watch
+    watch: instability.WatchState  # of the instability watch
 
 
 @compiled
@@ -319,7 +314,7 @@ def protect(
         if cause == NOTHING and is_known:
             if not is_finite(measured, 0):
                 cause = IMPLAUSIBLE_STATE
-            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
+            elif p.watch.ratio and instability.watch_step(p.watch, state.watch, ground, measured):
                 cause = INSTABILITY
         if cause != NOTHING:
             flags[CAUSE] = cause
@@ -394,7 +389,7 @@ class ProtectedForce:
         self,
         reference_force: ReferenceForce,
         plausible: PlausibleForce,
-        watch: InstabilityWatch,
+        watch: instability.InstabilityWatch,
         ramp: RampDown,
         loop_delay: int = 0,
     ) -> None:
@@ -436,7 +431,7 @@ class ProtectedForce:
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
             PlausibleForce(section["limits.force"], fastest, axes, timebase.dt),
-            InstabilityWatch(known, axes, **watch),
+            instability.InstabilityWatch(known, axes, **watch),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )

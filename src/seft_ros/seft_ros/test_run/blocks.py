@@ -13,11 +13,7 @@ from seft_plant_sim.calibration import check_biases
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.simulated.faults import check_times
 
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    TRANSFER_FUNCTION,
-    fitting_method,
-)
+from seft_ros.force_controller import force_controller_parameters as controllers
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
@@ -100,13 +96,14 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
-    fitting = fitting_method(experiment["force_controller"])
-    if method in FOLLOW_TARGETS and not has_target:
+    fitting = controllers.fitting_method(experiment["force_controller"])
+    if method in controllers.FOLLOW_TARGETS and not has_target:
         raise InputError(
             f"force_controller: method {method} follows the motion of a target, but "
             f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
         )
-    if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
+    drives_valve = blocks.rig.drive == VALVE_COMMAND.name
+    if method == controllers.TRANSFER_FUNCTION and has_target and drives_valve:
         raise InputError(
             f"reference_force: compensation.method {compensation} gives the motion of a target, "
             f"which force_controller: method {method} does not follow; make that {fitting}"
@@ -139,9 +136,9 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
     control = experiment["force_controller"]
     used = control["method"]
     if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
-        used = fitting_method(control)
-    elif used in FOLLOW_TARGETS:
-        used = TRANSFER_FUNCTION
+        used = controllers.fitting_method(control)
+    elif used in controllers.FOLLOW_TARGETS:
+        used = controllers.TRANSFER_FUNCTION
     return experiment.changed(
         {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
     )

@@ -6,15 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.node import rclpy_interface
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import is_running
-from seft_msgs_py.node.rclpy_interface import (
-    SingleThreadedExecutor,
-    command_node,
-    leave_graph,
-    message_class,
-    qos_profile,
-)
+from seft_msgs_py.node.rclpy_interface import command_node, leave_graph, message_class, qos_profile
 from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.node.transport import AwakeClock
 from seft_msgs_py.wire import outcome
@@ -81,7 +76,7 @@ class Observer:
         self._node.create_subscription(
             message_class(CLOCK_TOPIC), CLOCK_TOPIC.name, self._on_clock, qos_profile(CLOCK_TOPIC)
         )
-        self._executor = SingleThreadedExecutor(context=self._node.context)
+        self._executor = rclpy_interface.SingleThreadedExecutor(context=self._node.context)
         self._executor.add_node(self._node)
 
     def spin(self, timeout: float) -> None:

@@ -26,13 +26,8 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
-from seft_ros.bags.recording import (
-    Estimates,
-    Recording,
-    Series,
-    describe_environment,
-    require_names,
-)
+from seft_ros.bags import recording
+from seft_ros.bags.recording import Estimates, Recording, Series, require_names
 from seft_ros.force_controller.interlock import Interlock, Interlocks
 from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
@@ -108,7 +103,7 @@ def simulate_test(
         np.empty(total),
         np.empty((-(-total // period), len(estimated), axes)),
     )
-    environment = environment or describe_environment("simulate")
+    environment = environment or recording.describe_environment("simulate")
     parts = blocks, samples, experiment["reference_force"]["loop_delay"], period
     runs = run_compiled if _compiles(*parts, compiles) else run_plain
     loop = runs(*parts)
@@ -272,7 +267,7 @@ class BlockCache:
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
-        return describe_environment("ensemble")
+        return recording.describe_environment("ensemble")
 
     def run(self, experiment: Experiment) -> Recording:
         """Run a test, see `simulate_test`.
