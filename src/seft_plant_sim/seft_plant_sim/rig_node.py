@@ -138,10 +138,8 @@ class RigNode(NodeBody):
         axes = shell.experiment.axes
         made = HostedHardware(self._section, axes, shell.rig, period, now)
         if not (self._is_realtime or made.can_wait):
-            raise InputError(
-                f"rig: pace is lockstep, but hardware {self._section['hardware']} can't wait for "
-                "a command; make pace realtime"
-            )
+            why = f"hardware {self._section['hardware']} can't wait for a command"
+            raise InputError(f"rig: pace is lockstep, but {why}; make pace realtime")
         return made
 
     def _warm_up(self) -> None:

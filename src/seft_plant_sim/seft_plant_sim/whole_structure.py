@@ -329,9 +329,8 @@ def whole_structure(experiment: Experiment) -> WholeStructure:
     InputError
         If the parameters make no such structure.
     """
-    return WholeStructure.of_test(
-        tested_specimen(experiment), experiment["reference_force"], experiment.axes
-    )
+    specimen, section = tested_specimen(experiment), experiment["reference_force"]
+    return WholeStructure.of_test(specimen, section, experiment.axes)
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:

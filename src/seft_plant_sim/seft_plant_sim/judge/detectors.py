@@ -293,9 +293,8 @@ def warning_detectors(section: Mapping[str, Any]) -> list[str]:
     listed = section["detectors.warn_only"].replace(",", " ").split()
     for name in listed:
         if name not in (*names, ALL):
-            raise InputError(
-                f"rig: detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
-            )
+            there = ", ".join(names)
+            raise InputError(f"rig: detectors.warn_only: no detector {name!r}; there are {there}")
     return names if ALL in listed else listed
 
 
@@ -338,10 +337,8 @@ def detectors_of(
     imposes = imposes and bool(np.any(section["actuator.response.numerator"]))
     if imposes:
         past = last_periods(section, known_rig.known_responses(section, axes, own))
-    noise, ranges = (
-        np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
-        for what in ("noise", "range")
-    )
+    noise = np.ascontiguousarray(per_channel(section, axes, "sensors.{}_noise")[:, own])
+    ranges = np.ascontiguousarray(per_channel(section, axes, "sensors.{}_range")[:, own])
     if acceleration_is_derived(section):  # nothing else is compared with it, and no sensor ends it
         noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
         mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)

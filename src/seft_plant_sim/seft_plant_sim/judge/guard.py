@@ -252,7 +252,5 @@ class Guard:
         if found & OUTSIDE_LIMITS:
             return limits.describe(state.measured)
         blind = sorted(name for name in CHANNELS if found & RANGES[f"{name}_range"])
-        return (
-            f"{' and '.join(blind)} at the end of the sensor's range for more than "
-            f"{self._saturated_time:g} s within one second: their channels are unknown"
-        )
+        most = f"{self._saturated_time:g} s within one second: their channels are unknown"
+        return f"{' and '.join(blind)} at the end of the sensor's range for more than {most}"

@@ -342,12 +342,9 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
                     continue
                 gain, log_det_b = hypotheses.solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
-                c.likelihood[count] = (
-                    b.weight
-                    - 0.5 * (chi2 - gain + log_det + log_det_b)
-                    + hypotheses.log_prior(before, which, c.forced)
-                    + hypotheses.log_amplitudes(known, axis, c, count)
-                )
+                weight = b.weight - 0.5 * (chi2 - gain + log_det + log_det_b)
+                weight += hypotheses.log_prior(before, which, c.forced)
+                c.likelihood[count] = weight + hypotheses.log_amplitudes(known, axis, c, count)
                 count += 1
             if is_sound:
                 break

@@ -276,16 +276,9 @@ class Interlock:
             left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)] + [0.0]
         self._closing = np.array(left)  # of the last drive, step by step
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
+        has_stop, of_rig = hasattr(controller, "stop"), (np.array(limits), has_valve, dt, fastest)
         self.parameters = InterlockParameters(
-            float(largest_force),
-            window,
-            closing,
-            hasattr(controller, "stop"),
-            np.array(limits),
-            has_valve,
-            dt,
-            fastest,
-            tracking[0],
+            float(largest_force), window, closing, has_stop, *of_rig, tracking[0]
         )
         points, quantities = controller.shape
         sizes = {"n": n, "points": points, "quantities": quantities}
@@ -436,10 +429,8 @@ class Interlock:
             for name, value in zip(self._axes, state.odd.tolist(), strict=True):
                 if not math.isfinite(value):
                     return f"valve command on axis {name} is {value}"
-            return (
-                "the command jumps by more than /**: limits.displacement_rate allows: "
-                f"{(state.odd - state.drive).tolist()} m"
-            )
+            jump = f"{(state.odd - state.drive).tolist()} m"
+            return f"the command jumps by more than /**: limits.displacement_rate allows: {jump}"
         if code == IMPLAUSIBLE:
             return implausible_force(state.force, self._axes, self.parameters.largest)
         if code == LIMIT:
@@ -450,10 +441,8 @@ class Interlock:
             axis = int(state.flags[AXIS])
             return describe(TRACKING, state.tracking.found[:, axis], self._axes[axis])
         assert code == SATURATION
-        return (
-            f"the valve command is at its limit for more than {self._longest:g} s within one "
-            "second: the force is out of control"
-        )
+        most = f"{self._longest:g} s within one second: the force is out of control"
+        return f"the valve command is at its limit for more than {most}"
 
 
 class Interlocks:

@@ -91,10 +91,8 @@ def force_control(
     own = rig or RigAxes.whole(axes)
     name, fitting = section["method"], controllers.fitting_method(section)
     if name in controllers.FOLLOW_TARGETS and name != fitting:
-        raise InputError(
-            f"force_controller: method {name} does not drive an actuator of kind "
-            f"{section['actuator.kind']}; make that {fitting}"
-        )
+        kind = f"an actuator of kind {section['actuator.kind']}; make that {fitting}"
+        raise InputError(f"force_controller: method {name} does not drive {kind}")
     if name == controllers.TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
     if name == controllers.VELOCITY_FEEDFORWARD:

@@ -201,9 +201,8 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
     part = p.late[i] - whole
     newer = past[whole - 1] if whole > 0 else past[0]
     y = past[whole] + part * (past[whole + 1] - past[whole])
-    rate = ((1.0 - part) * (newer - past[whole + 1]) + part * (past[whole] - past[whole + 2])) / (
-        2.0 * p.dt
-    )
+    rate = (1.0 - part) * (newer - past[whole + 1]) + part * (past[whole] - past[whole + 2])
+    rate /= 2.0 * p.dt
     regressor[GAIN_ERROR], regressor[DELAY_ERROR], regressor[OFFSET] = y, -rate, 1.0
     variance = p.noise[i] ** 2 + (_UNDESCRIBED * abs(y) + _UNDESCRIBED_TIME * abs(rate)) ** 2
     variance *= max(1.0, _CORRELATION_TIME / p.dt)

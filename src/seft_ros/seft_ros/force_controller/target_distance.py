@@ -77,14 +77,10 @@ def tracking_arrays(
     """
     (x, v, _, _), n = noise, noise.shape[1]
     bias = BIAS * v * dt / (1.0 - detectors.fade_of_sums(dt))
-    parameters = TrackingParameters(
-        NOISE_SIGMAS * detectors.noise_of_sums(x, dt * v, dt) + bias,
-        math.exp(-dt / detectors.MOTION_MEMORY),
-        limit,
-        math.ceil(_LIMITED / dt),
-        detectors.persistence_of(TRACKING, dt),
-        acts,
-    )
+    doubt = NOISE_SIGMAS * detectors.noise_of_sums(x, dt * v, dt) + bias
+    memory, limited = math.exp(-dt / detectors.MOTION_MEMORY), math.ceil(_LIMITED / dt)
+    persistence = detectors.persistence_of(TRACKING, dt)
+    parameters = TrackingParameters(doubt, memory, limit, limited, persistence, acts)
     return parameters, zeros(TrackingState, {"n": n})
 
 

@@ -505,9 +505,8 @@ class ProtectedForce:
     def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
         both, is_known = (self.parameters, self.state), ground_motion is not None
         progress = self._begin_step(*both, is_known)
-        motion = (
-            np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
-        )
+        none = np.zeros((1 + self.preview, self._axes))
+        motion = none if ground_motion is None else ground_motion
         if not self.state.flags[HOLDING]:
             self._points[:] = self.reference_force.step(motion, state, progress)
         ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))

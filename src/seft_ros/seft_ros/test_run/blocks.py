@@ -97,17 +97,15 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
     fitting = controllers.fitting_method(experiment["force_controller"])
+    controller = f"force_controller: method {method}"
     if method in controllers.FOLLOW_TARGETS and not has_target:
-        raise InputError(
-            f"force_controller: method {method} follows the motion of a target, but "
-            f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
-        )
+        other = f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
+        raise InputError(f"{controller} follows the motion of a target, but {other}")
     drives_valve = blocks.rig.drive == VALVE_COMMAND.name
     if method == controllers.TRANSFER_FUNCTION and has_target and drives_valve:
-        raise InputError(
-            f"reference_force: compensation.method {compensation} gives the motion of a target, "
-            f"which force_controller: method {method} does not follow; make that {fitting}"
-        )
+        gives = f"compensation.method {compensation} gives the motion of a target"
+        mend = f"which {controller} does not follow; make that {fitting}"
+        raise InputError(f"reference_force: {gives}, {mend}")
 
 
 def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
@@ -120,11 +118,9 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
     """
     preview = force.preview
     if preview > len(motion.known) - motion.steps:
-        raise InputError(
-            f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {preview * experiment.timebase.dt:g} s ahead; make "
-            "the lead longer"
-        )
+        lead = f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s"
+        needed = f"{preview * experiment.timebase.dt:g} s ahead; make the lead longer"
+        raise InputError(f"{lead}, but the compensation looks {needed}")
 
 
 def with_method(experiment: Experiment, method: str) -> Experiment:

@@ -46,10 +46,9 @@ def _check_memory(steps: int, axes: int) -> None:
     """Refuse a test that this machine has no memory for, before it is taken."""
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if (needed := _BYTES * steps * axes) > there:
-        raise InputError(
-            f"{steps} steps of {axes} axes need some {needed / 1e9:.1f} GB, and this machine has "
-            f"{there / 1e9:.1f} GB; check rate and duration"
-        )
+        has = f"this machine has {there / 1e9:.1f} GB; check rate and duration"
+        need = f"{steps} steps of {axes} axes need some {needed / 1e9:.1f} GB"
+        raise InputError(f"{need}, and {has}")
 
 
 def simulate_test(
