@@ -351,10 +351,8 @@ def zeroed_at_rest(
     left = shown - subtracted
     bias[:, own] += subtracted
     changed = {f"calibration.{name}_bias": bias[row].tolist() for row, name in enumerate(CHANNELS)}
-    by_channel = {
-        "subtracted": dict(zip(CHANNELS, subtracted.tolist(), strict=True)),
-        "left": dict(zip(CHANNELS, left.tolist(), strict=True)),
-    }
+    rows = (("subtracted", subtracted), ("left", left))
+    by_channel = {what: dict(zip(CHANNELS, each.tolist(), strict=True)) for what, each in rows}
     return {**section, **changed}, {"samples": len(samples), **by_channel}
 
 
@@ -395,9 +393,8 @@ def as_published(
     known = aligned_to(section, axes, range(len(axes)))
     tilt = tilt_of(section, axes, range(len(axes)), TILT)
     rows = np.flatnonzero(known.lacks)
-    model = filtered(
-        model, rows, known.filters.reshape(2, -1)[:, rows], known.common[:, np.newaxis]
-    )
+    lacked = known.filters.reshape(2, -1)[:, rows]
+    model = filtered(model, rows, lacked, known.common[:, np.newaxis])
     shown, n = model.shown, len(axes)
     by = np.diag(1.0 / known.scale.ravel())
     of = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
@@ -441,11 +438,10 @@ def check_biases(zeroed: Mapping[str, Any] | None, limits: Mapping[str, float]) 
         return CheckedBiases("the rig reports biases that can't be read; see docs/hardware.md")
     for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False):
         if not subtracted[name] <= MAX_BIAS * limits[name]:
-            return CheckedBiases(
-                f"{name} is {subtracted[name]:.3g} {unit} at rest, more than a tenth of its "
-                f"limit of {limits[name]:g} {unit}; unload the rig, adjust the sensor's amplifier, "
-                f"or give its bias (/**: calibration.{name}_bias)"
-            )
+            most = f"more than a tenth of its limit of {limits[name]:g} {unit}"
+            shown = f"{name} is {subtracted[name]:.3g} {unit} at rest, {most}"
+            mend = f"adjust the sensor's amplifier, or give its bias (/**: calibration.{name}_bias)"
+            return CheckedBiases(f"{shown}; unload the rig, {mend}")
     may_hold = SHOWN_BY_SENSOR * limits["force"]
     if left["force"] > may_hold:
         why = "a static load holds it, or the bias has changed since (seft identify --specimen)"

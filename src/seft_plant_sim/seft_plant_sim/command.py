@@ -163,10 +163,9 @@ class Command:
             steps = step - self.answered
             change = np.abs(np.diff(points, axis=0, prepend=self._messages.newest[:1])).max(axis=1)
             if change[0] > self.fastest * steps or change[1:].max(initial=0.0) > self.fastest:
-                jump = (
-                    f"{change.max():g} {self.unit}, more than /**: limits.displacement_rate allows"
-                )
-                raise WireError(f"{name} of step {step} jumps by {jump}")
+                jump = f"jumps by {change.max():g} {self.unit}"
+                most = "more than /**: limits.displacement_rate allows"
+                raise WireError(f"{name} of step {step} {jump}, {most}")
         self.answered = step
         if not (self._is_plan and len(points) > 1):
             self.stops_since = None

@@ -130,7 +130,7 @@ class SampleClock:
 
 
 def wait_for_command(
-    shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], bool]
+    shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], object]
 ) -> float:
     """Wait at most ``longest`` s for the command of a step, or until ``stop``; give the time, s."""
     now = shell.clock.monotonic

@@ -150,7 +150,7 @@ def detector_arrays(
     noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
     has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
-    x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
+    assumed = x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
     if known.imposes:
         actuator[:] = 1.0, np.inf, 0.0, np.inf
@@ -167,8 +167,8 @@ def detector_arrays(
     unknown = 0.0 if mass.any() and known.stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     judging, judged = judge_arrays(
-        np.array([x, v, a, f]),
-        _at_rest(np.array([x, v, a, f]), limits, zeroed),
+        assumed,
+        _at_rest(assumed, limits, zeroed),
         np.transpose([np.where(has_oil, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         known.stiffness,
@@ -186,7 +186,7 @@ def detector_arrays(
         short=math.exp(-1.0 / max(SHORT / dt, FEWEST)),
         memory=math.exp(-dt / MOTION_MEMORY),
         by_force=by_force,
-        noise=np.array([x, v, a, f]),
+        noise=assumed,
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
@@ -244,12 +244,7 @@ DIFFERS, SECOND_ORDER_WORK, WEAKENS, JUMP, FROZEN, WRONG = 0, 3, 4, 5, 6, 10
 
 @compiled
 def look(
-    p: DetectorParameters,
-    state: DetectorState,
-    row: int,
-    i: int,
-    seen: float,
-    threshold: float,
+    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
 ) -> bool:
     """Compare a detector's value with its threshold; say whether it has persisted and acts."""
     if 0.0 < threshold < np.inf and seen > state.shares[row, i] * threshold:  # no division

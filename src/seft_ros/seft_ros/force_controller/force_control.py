@@ -159,17 +159,13 @@ class TransferState(NamedTuple):
 
 @compiled
 def transfer_step(
-    parameters: TransferParameters,
-    state: TransferState,
-    points: Floats,
-    measured: Floats,
-    command: Floats,
+    p: TransferParameters, state: TransferState, points: Floats, measured: Floats, command: Floats
 ) -> bool:
     """Find the drive that answers a sample.
 
     Parameters
     ----------
-    parameters, state
+    p, state
         The state is updated.
     points : ndarray
         Of the reference force, shape (p, q, n).
@@ -183,7 +179,7 @@ def transfer_step(
     bool
         Whether the drive is at its limit on any axis.
     """
-    p, work, result, n = parameters, state.work, state.result, len(command)
+    work, result, n = state.work, state.result, len(command)
     delays, last, limited = len(work) - n, points.shape[1] - 1, False
     for i in range(n):
         error = points[0, last, i]

@@ -176,11 +176,7 @@ def follow_plan(state: InterlockState, dt: float) -> None:
 
 @compiled
 def postcheck(
-    parameters: InterlockParameters,
-    state: InterlockState,
-    step: int,
-    limited: bool,
-    command: Floats,
+    p: InterlockParameters, state: InterlockState, step: int, limited: bool, command: Floats
 ) -> None:
     """Check the command of a controller, and whether it is limited; trip if it is not finite.
 
@@ -188,17 +184,17 @@ def postcheck(
     """
     for i in range(len(command)):
         change = abs(command[i] - state.drive[i]) if step > 0 else 0.0
-        if not np.isfinite(command[i]) or change > parameters.fastest:
+        if not np.isfinite(command[i]) or change > p.fastest:
             trip(state, IMPLAUSIBLE_COMMAND, step)
-    if limited and parameters.has_valve and state.flags[TRIP] == NO_TRIP:
-        if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
+    if limited and p.has_valve and state.flags[TRIP] == NO_TRIP:
+        if is_exceeded(state.saturated, state.flags[SATURATED], step, p.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
     if state.flags[TRIP] == NO_TRIP:
         copy(len(command), command, state.drive)
     else:
         copy(len(command), command, state.odd)
-        begin_stop(parameters, state, command)
+        begin_stop(p, state, command)
 
 
 @compiled

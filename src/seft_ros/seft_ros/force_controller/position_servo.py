@@ -102,17 +102,13 @@ class ServoState(NamedTuple):
 
 @compiled
 def servo_step(
-    parameters: ServoParameters,
-    state: ServoState,
-    points: Floats,
-    measured: Floats,
-    command: Floats,
+    p: ServoParameters, state: ServoState, points: Floats, measured: Floats, command: Floats
 ) -> bool:
     """Find the commands that answer a sample.
 
     Parameters
     ----------
-    parameters, state
+    p, state
         The state is updated.
     points : ndarray
         Displacement, velocity and force of the target at this step and the future ones, shape
@@ -127,7 +123,6 @@ def servo_step(
     bool
         Whether one of them is at its limit.
     """
-    p = parameters
     for i in range(len(command)):
         if state.steps[0] == 0.0:
             _rest_at(p, state, i, points[0, 0, i])

@@ -195,10 +195,10 @@ class PlausibleForce:
         """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
         change = force - self.recent[0]
         axis = int(np.abs(change).argmax())
-        return implausible_force(force, self.axes, self.limits[0]) or (
-            f"reference force changes by {change[axis] / self._span:.5g} N/s on axis "
-            f"{self.axes[axis]}, beyond the limit of {self._fastest:g} N/s"
-        )
+        most = f"beyond the limit of {self._fastest:g} N/s"
+        fast = f"{change[axis] / self._span:.5g} N/s on axis {self.axes[axis]}, {most}"
+        large = implausible_force(force, self.axes, self.limits[0])
+        return large or f"reference force changes by {fast}"
 
 
 def implausible_force(force: Floats, axes: Sequence[str], largest: float) -> str:
@@ -402,9 +402,8 @@ class ProtectedForce:
         if loop_delay and not provides_target:
             self._settled = deque(maxlen=1 + loop_delay)
         self._points = np.zeros((*reference_force.shape, self._axes))
-        self.parameters = ProtectionParameters(
-            plausible.limits, ramp.steps, provides_target, plausible.dt, watch.parameters
-        )
+        of_force = plausible.limits, ramp.steps, provides_target, plausible.dt
+        self.parameters = ProtectionParameters(*of_force, watch.parameters)
         sizes = {"quantities": reference_force.shape[1], "n": self._axes}
         given = {"ramp": ramp.state, "recent": plausible.recent, "watch": watch.state}
         self.state = zeros(ProtectionState, sizes, **given)

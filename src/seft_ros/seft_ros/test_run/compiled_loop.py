@@ -158,21 +158,12 @@ def _arguments(
     if quantities > 1:  # a controller keeps no more of the future motion
         points = min(points, loop_delay + control.shape[0])
     n = samples.commands.shape[1]
-    loop = LoopBlocks(
-        tuple(range(n)),
-        (rig.simulation.parameters, rig.simulation.state),
-        (rig.guard.parameters, rig.guard.state),
-        (protected.parameters, protected.state),
-        (interlock.parameters, interlock.state),
-        (method.parameters, method.state),
-        (control.parameters, control.state),
-        np.zeros((1 + loop_delay, points, quantities, n)),
-        np.zeros(n),
-        rig.drive == VALVE_COMMAND.name,
-        points if quantities > 1 else 1 + protected.preview,
-        protected.ramp.whole,
-        period,
-    )
+    parts: Any = rig.simulation, rig.guard, protected, interlock, method, control
+    pairs = [(each.parameters, each.state) for each in parts]
+    in_flight = np.zeros((1 + loop_delay, points, quantities, n))
+    window = points if quantities > 1 else 1 + protected.preview
+    of_test = rig.drive == VALVE_COMMAND.name, window, protected.ramp.whole, period
+    loop = LoopBlocks._make((tuple(range(n)), *pairs, in_flight, np.zeros(n), *of_test))
     known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled
     kind = rig.kind, protected.kind, interlock.kind, kind_of((loop.axes, samples, known))
     return kind, (loop, samples, known, samples.states, 0, 0)

@@ -170,13 +170,12 @@ def assess_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list
     lost, delay, bad, thin = trips.lost / trips.sent, trips.loop_delay, [], []
     if delay > _LONGEST_DELAY:
         bad.append(f"the loop would need a delay of {delay} steps, more than {_LONGEST_DELAY}")
+    share = f"{100 * lost:.3g} % of the messages were lost"
     if lost > TOO_MANY_LOST:
-        bad.append(f"{100 * lost:.3g} % of the messages were lost")
+        bad.append(share)
     elif lost > SOME_LOST:
-        share = (
-            f"{100 * lost:.3g} % of the messages were lost, up to {trips.longest_burst} in a row"
-        )
-        thin.append(f"{share}: they are bridged, with some error")
+        row = f"up to {trips.longest_burst} in a row"
+        thin.append(f"{share}, {row}: they are bridged, with some error")
     if test is not None and test.stable is False:
         bad.append(f"mass ratio {test.mass_ratio:g} is unstable with a delay of {delay} steps")
     elif test is not None and test.unknown:

@@ -160,11 +160,9 @@ class Observer:
 
     def _refuse(self, nodes: Sequence[str]) -> None:
         if nodes:
-            what = (
-                f"ROS domain {self.domain} already has a node {', '.join(nodes)}: of another test"
-            )
+            other = f"already has a node {', '.join(nodes)}: of another test"
             mend = "end it, set another ROS_DOMAIN_ID, or use it with --external"
-            raise InputError(f"{what}; {mend}")
+            raise InputError(f"ROS domain {self.domain} {other}; {mend}")
 
     def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
         """List nodes of another test, which shares /clock with this one."""
