@@ -196,10 +196,10 @@ class InstabilityWatch:
         _, measured, expected, _ = self.state.squares
         axis = int((measured / expected).argmax())
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
-        what = f"acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]}"
+        where = f"{self._lowest:.3g} Hz on axis {self._axes[axis]}"
         size = f"{rms:.3g} m/s^2 RMS, {over:.3g} times that of the structure"
         most = f"under the measured restoring force (limit {self.parameters.ratio:g})"
-        return f"instability: {what} is {size} {most}"
+        return f"instability: acceleration above {where} is {size} {most}"
 
 
 def _natural_hz(known: MethodInputs) -> float:
