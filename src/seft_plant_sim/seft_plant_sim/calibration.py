@@ -200,25 +200,20 @@ def aligned_to(section: Mapping[str, Any], axes: Sequence[str], places: Sequence
     own, known = list(places), known_channels(section, axes)
     if not known["scale"].all():
         row = int(np.argmin(np.abs(known["scale"]).min(axis=1)))
-        raise InputError(
-            f"/**: calibration.{CHANNELS[row]}_scale is 0, but it is measured over true value; "
-            "give 1 if it is not known"
-        )
+        why = "it is measured over true value; give 1 if it is not known"
+        raise InputError(f"/**: calibration.{CHANNELS[row]}_scale is 0, but {why}")
     if section.get("sensors.velocity") == "derived":  # from the calibrated displacement
         for what, nothing in NOTHING_KNOWN.items():
             if (known[what][VELOCITY] != nothing).any():
-                raise InputError(
-                    f"/**: calibration.velocity_{what} is given, but sensors.velocity is derived: "
-                    "it follows the displacement's calibration; leave it out"
-                )
+                why = "derived: it follows the displacement's calibration; leave it out"
+                given = f"/**: calibration.velocity_{what} is given"
+                raise InputError(f"{given}, but sensors.velocity is {why}")
             if what not in ("bias", "scale"):
                 known[what][VELOCITY] = known[what][DISPLACEMENT]
     lag, common = known["lag"], np.array(common_filter(section))
     filters = np.array(filter_of(known["filter"], known["filter_damping"]))[:, :, own]
-    bias, scale, wait = (
-        np.ascontiguousarray(one[:, own])
-        for one in (known["bias"], known["scale"], lag.max() - lag)
-    )
+    every = known["bias"], known["scale"], lag.max() - lag
+    bias, scale, wait = (np.ascontiguousarray(each[:, own]) for each in every)
     lacks = (filters != common[:, np.newaxis, np.newaxis]).any(axis=0)
     return Alignment(bias, scale, wait, filters, common, lacks)
 
@@ -256,10 +251,10 @@ def calibration_of(
     wait[wait < SHORTEST_WAIT] = 0.0
     tilt = tilt_of(section, axes, own, TILT)
     if np.linalg.cond(tilt) > _ALIKE:
-        raise InputError(
-            f"/**: {TILT} {tilt.tolist()} says that accelerometers show the same; give a row for "
-            "each, about 1 in its own place"
+        same = (
+            "says that accelerometers show the same; give a row for each, about 1 in its own place"
         )
+        raise InputError(f"/**: {TILT} {tilt.tolist()} {same}")
     is_straight = (tilt == np.eye(n)).all()
     is_aligned = not (wait.any() or lacks.any())
     if not bias.any() and (scale == 1.0).all() and is_aligned and is_straight:
@@ -276,15 +271,10 @@ def calibration_of(
             product = np.convolve(alone[part], other[part])
             taps[part, : len(product), row, i] = product
     steps = np.zeros((4, n)) if resolution is None else resolution
-    calibration = Calibration(
-        bias,
-        scale,
-        np.full((4, n), np.inf) if ranges is None else ranges,
-        np.where((fraction > 0.0) & ~lacks, steps, 0.0),
-        whole,
-        taps,
-        np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt),
-    )
+    ranges = np.full((4, n), np.inf) if ranges is None else ranges
+    rounded = np.where((fraction > 0.0) & ~lacks, steps, 0.0)
+    straight = np.zeros((0, 0)) if is_straight else np.linalg.inv(tilt)
+    calibration = Calibration(bias, scale, ranges, rounded, whole, taps, straight)
     measured = np.zeros((1 + int(whole.max()), 4, n))
     state = CalibrationState(measured, np.zeros((2, 1 + ALIGNING_ORDER, 4, n)), np.zeros((2, n)))
     return calibration, state
@@ -361,10 +351,8 @@ def zeroed_at_rest(
     left = shown - subtracted
     bias[:, own] += subtracted
     changed = {f"calibration.{name}_bias": bias[row].tolist() for row, name in enumerate(CHANNELS)}
-    by_channel = {
-        "subtracted": dict(zip(CHANNELS, subtracted.tolist(), strict=True)),
-        "left": dict(zip(CHANNELS, left.tolist(), strict=True)),
-    }
+    rows = (("subtracted", subtracted), ("left", left))
+    by_channel = {what: dict(zip(CHANNELS, each.tolist(), strict=True)) for what, each in rows}
     return {**section, **changed}, {"samples": len(samples), **by_channel}
 
 
@@ -405,9 +393,8 @@ def as_published(
     known = aligned_to(section, axes, range(len(axes)))
     tilt = tilt_of(section, axes, range(len(axes)), TILT)
     rows = np.flatnonzero(known.lacks)
-    model = filtered(
-        model, rows, known.filters.reshape(2, -1)[:, rows], known.common[:, np.newaxis]
-    )
+    lacked = known.filters.reshape(2, -1)[:, rows]
+    model = filtered(model, rows, lacked, known.common[:, np.newaxis])
     shown, n = model.shown, len(axes)
     by = np.diag(1.0 / known.scale.ravel())
     of = slice(ACCELERATION * n, (ACCELERATION + 1) * n)
@@ -451,20 +438,17 @@ def check_biases(zeroed: Mapping[str, Any] | None, limits: Mapping[str, float]) 
         return CheckedBiases("the rig reports biases that can't be read; see docs/hardware.md")
     for name, unit in zip(CHANNELS, LIMIT_UNITS, strict=False):
         if not subtracted[name] <= MAX_BIAS * limits[name]:
-            return CheckedBiases(
-                f"{name} is {subtracted[name]:.3g} {unit} at rest, more than a tenth of its "
-                f"limit of {limits[name]:g} {unit}; unload the rig, adjust the sensor's amplifier, "
-                f"or give its bias (/**: calibration.{name}_bias)"
-            )
+            most = f"more than a tenth of its limit of {limits[name]:g} {unit}"
+            shown = f"{name} is {subtracted[name]:.3g} {unit} at rest, {most}"
+            mend = f"adjust the sensor's amplifier, or give its bias (/**: calibration.{name}_bias)"
+            return CheckedBiases(f"{shown}; unload the rig, {mend}")
     may_hold = SHOWN_BY_SENSOR * limits["force"]
     if left["force"] > may_hold:
-        return CheckedBiases(
-            warning=f"the force at rest is {left['force']:.3g} N beside its known bias: friction "
-            "or a static load holds it, or the bias has changed since (seft identify --specimen)"
-        )
+        why = "a static load holds it, or the bias has changed since (seft identify --specimen)"
+        shown = f"the force at rest is {left['force']:.3g} N beside its known bias"
+        return CheckedBiases(warning=f"{shown}: friction or {why}")
     if subtracted["force"] > may_hold:
-        return CheckedBiases(
-            warning=f"a force of {subtracted['force']:.3g} N at rest was zeroed: if friction or a "
-            "static load holds it, it is real; a multisine test shows it (seft identify --specimen)"
-        )
+        why = "holds it, it is real; a multisine test shows it (seft identify --specimen)"
+        shown = f"a force of {subtracted['force']:.3g} N at rest was zeroed"
+        return CheckedBiases(warning=f"{shown}: if friction or a static load {why}")
     return CheckedBiases()

@@ -60,10 +60,8 @@ def tilt_of(
         return np.eye(len(own))
     tilt = as_matrix(section[name], axes, where)
     if np.delete(tilt[own], own, axis=1).any():
-        raise InputError(
-            f"{where} {tilt.tolist()} mixes axes of different rigs, which have "
-            "their own accelerometers"
-        )
+        mixes = "mixes axes of different rigs, which have their own accelerometers"
+        raise InputError(f"{where} {tilt.tolist()} {mixes}")
     return np.ascontiguousarray(tilt[np.ix_(own, own)])
 
 
@@ -108,18 +106,15 @@ def converters(
         If a converter has bits but no range.
     """
     ranges, bits = per_channel(section, axes, "sensors.{}_range"), section[bits_name]
-    for row, derived in (
-        (VELOCITY, velocity_is_derived(section)),
-        (ACCELERATION, acceleration_is_derived(section)),
-    ):
-        if derived:
-            ranges[row] = np.inf
+    if velocity_is_derived(section):
+        ranges[VELOCITY] = np.inf
+    if acceleration_is_derived(section):
+        ranges[ACCELERATION] = np.inf
     for channel, row in zip(CHANNELS, ranges, strict=True):
         if bits and not row.all():
-            raise InputError(
-                f"{place_of(bits_name, 'rig')}: {bits_name} is {bits}, but {channel}_range is 0: a "
-                f"converter needs a range; give /**: sensors.{channel}_range"
-            )
+            what = f"{place_of(bits_name, 'rig')}: {bits_name} is {bits}, but {channel}_range is 0"
+            mend = f"give /**: sensors.{channel}_range"
+            raise InputError(f"{what}: a converter needs a range; {mend}")
     ranges[ranges == 0.0] = np.inf
     ranges = np.ascontiguousarray(ranges[:, list(places)])
     step = 2.0 * ranges / 2.0**bits

@@ -149,27 +149,23 @@ class Command:
         if step > self.current:
             raise WireError(f"{name} of step {step}, but the rig is at step {self.current}")
         if step <= self.answered:
-            raise WireError(
-                f"{name} of step {step} after that of step {self.answered}: stale, duplicated or "
-                "out of order"
-            )
+            after = f"after that of step {self.answered}: stale, duplicated or out of order"
+            raise WireError(f"{name} of step {step} {after}")
         settled = values[: None if self._is_plan else 1 + self.loop_delay, 0]
         points = settled if self._places is None else settled[:, self._places]
         worst = points[0] if len(points) == 1 else points[np.abs(points).max(axis=1).argmax()]
         for axis, number in zip(self._rig.axes, worst.tolist(), strict=True):
             if not abs(number) <= self.limit:
-                raise WireError(
-                    f"{name} of step {step} is {number:g} {self.unit} on axis {axis}, beyond the "
-                    f"limit of {self.limit:g} {self.unit}"
-                )
+                text = f"{number:g} {self.unit} on axis {axis}"
+                most = f"beyond the limit of {self.limit:g} {self.unit}"
+                raise WireError(f"{name} of step {step} is {text}, {most}")
         if self.fastest < math.inf and self.answered >= 0:
             steps = step - self.answered
             change = np.abs(np.diff(points, axis=0, prepend=self._messages.newest[:1])).max(axis=1)
             if change[0] > self.fastest * steps or change[1:].max(initial=0.0) > self.fastest:
-                raise WireError(
-                    f"{name} of step {step} jumps by {change.max():g} {self.unit}, more than "
-                    f"/**: limits.displacement_rate allows"
-                )
+                jump = f"jumps by {change.max():g} {self.unit}"
+                most = "more than /**: limits.displacement_rate allows"
+                raise WireError(f"{name} of step {step} {jump}, {most}")
         self.answered = step
         if not (self._is_plan and len(points) > 1):
             self.stops_since = None

@@ -128,10 +128,8 @@ def bilinear(
     if not den.size:
         raise InputError("denominator is zero")
     if num.size > den.size:
-        raise InputError(
-            f"the controller is improper: numerator of degree {num.size - 1} "
-            f"over denominator of degree {den.size - 1}; add poles to the denominator"
-        )
+        what = f"numerator of degree {num.size - 1} over denominator of degree {den.size - 1}"
+        raise InputError(f"the controller is improper: {what}; add poles to the denominator")
     order = den.size - 1
 
     def substitute(polynomial: Floats) -> Floats:
@@ -145,10 +143,8 @@ def bilinear(
 
     b, a = substitute(num), substitute(den)
     if abs(a[0]) <= 1e-12 * np.abs(a).max():
-        raise InputError(
-            f"the controller has a pole at {2 / dt:g} rad/s, where the "
-            "bilinear transform does not exist; use another rate"
-        )
+        why = "where the bilinear transform does not exist; use another rate"
+        raise InputError(f"the controller has a pole at {2 / dt:g} rad/s, {why}")
     return b / a[0], a / a[0]
 
 
@@ -185,10 +181,8 @@ def noncausal_inverse(
         If there are more than `MOST_TAPS`.
     """
     if taps > MOST_TAPS:
-        raise InputError(
-            f"/**: rate is {1 / dt:g} Hz, at which the actuator's delay takes {taps} samples to "
-            f"invert, and {MOST_TAPS} at most are; lower the rate"
-        )
+        why = f"the actuator's delay takes {taps} samples to invert, and {MOST_TAPS} at most are"
+        raise InputError(f"/**: rate is {1 / dt:g} Hz, at which {why}; lower the rate")
     # as many frequencies as tell the inverted ones and the weights apart, whatever the rate
     count = max(math.ceil(INVERTED_FREQUENCIES * 0.5 / (dt * highest)), 2 * taps)
     f = np.linspace(0.0, 0.5 / dt, count + 1)

@@ -117,17 +117,15 @@ class RigNode(NodeBody):
 
     def _watch_others(self) -> None:
         """Watch supervisor and recorder, and whether commands come."""
-        self._supervision = rig_watch.Supervision(
-            self._section["watchdog.supervisor_timeout"], self._clock
-        )
+        section, clock = self._section, self._clock
+        self._supervision = rig_watch.Supervision(section["watchdog.supervisor_timeout"], clock)
         self._shell.subscribe(topics.EXPERIMENT_STATE, self._follow, depth=16)
-        self._recorder_lag = rig_watch.RecorderLag(self._section["lockstep_timeout"], self._clock)
-        if self._section["pace"] == "lockstep":
+        self._recorder_lag = rig_watch.RecorderLag(section["lockstep_timeout"], clock)
+        if section["pace"] == "lockstep":
             self._shell.subscribe(topics.DIAGNOSTICS, self._recorder_lag.receive)
         self._samples: rig_watch.SampleClock | None = None  # of a test in realtime
-        self._watch = rig_watch.CommandWatch(
-            self._drive.codec.topic, self._timebase.dt, self._section["watchdog.command_timeout"]
-        )
+        topic, timeout = self._drive.codec.topic, section["watchdog.command_timeout"]
+        self._watch = rig_watch.CommandWatch(topic, self._timebase.dt, timeout)
         self._clock_steps = max(1, round(CLOCK_PERIOD * self._timebase.rate))
 
     def _hosted(self) -> HostedHardware | None:
@@ -138,10 +136,8 @@ class RigNode(NodeBody):
         axes = shell.experiment.axes
         made = HostedHardware(self._section, axes, shell.rig, period, now)
         if not (self._is_realtime or made.can_wait):
-            raise InputError(
-                f"rig: pace is lockstep, but hardware {self._section['hardware']} can't wait for "
-                "a command; make pace realtime"
-            )
+            why = f"hardware {self._section['hardware']} can't wait for a command"
+            raise InputError(f"rig: pace is lockstep, but {why}; make pace realtime")
         return made
 
     def _warm_up(self) -> None:
@@ -328,9 +324,8 @@ class RigNode(NodeBody):
         if last >= step:
             return command
         if self._drive is self._valve and self._valve.stops_since is None:
-            command = self._rig.extrapolated_command(
-                command, *self._fallback_stop.newest, step - last
-            )
+            stop = self._fallback_stop.newest
+            command = self._rig.extrapolated_command(command, *stop, step - last)
         return command
 
     def _plan(self) -> tuple[Floats | None, ...]:
@@ -366,19 +361,11 @@ class RigNode(NodeBody):
         self, phase: str, trip: Trip | None = None, stopped: Stopped | None = None
     ) -> Status:
         now = self._reported_at = self._clock.monotonic()
-        result = Outcome(
-            phase,
-            self._step + 1,
-            len(self._missed.steps),
-            self._missed.steps,
-            now - self._started,
-            trip,
-            self._samples.overruns if self._samples else 0,
-            self._rig.saturation,
-            self._round_trip.numbers(),
-            stopped and self._rig.simulated(self._stop_begun),
-            self._missed.most,
-        )
+        missed, overruns = self._missed, self._samples.overruns if self._samples else 0
+        taken = self._step + 1, len(missed.steps), missed.steps, now - self._started
+        seen = overruns, self._rig.saturation, self._round_trip.numbers()
+        true = stopped and self._rig.simulated(self._stop_begun)
+        result = Outcome(phase, *taken, trip, *seen, true, missed.most)
         age = now - self._answered_at if self._answered_at else math.nan
         return rig_report(result, self._rig, self._compute, self._round_trip, age, stopped)
 
@@ -426,9 +413,7 @@ class RigNode(NodeBody):
             self._watch.begin(self._clock.elapsed() + clock.deadline(0) - self._clock.monotonic())
         if self._rig.hardware.is_clock:  # the answer goes out at once
             left, shell = clock.deadline(step + 1) - self._clock.monotonic(), self._shell
-            rig_watch.wait_for_command(
-                shell, drive, step, left, lambda: self._reason_to_end() is not None
-            )
+            rig_watch.wait_for_command(shell, drive, step, left, self._reason_to_end)
             self._report_if_due()
         else:
             rig_watch.wait_for_sample(self._shell, drive, step, clock, self._report_if_due)
@@ -440,19 +425,15 @@ class RigNode(NodeBody):
             self._missed.add(step)
             self._report_if_due(_REPORT_PERIOD / 2)  # though there is no spare time
         in_vain = self._waited_in_vain and drive.step < step
-        fault = self._watch.fault(
-            self._clock.elapsed(), step, drive.step, in_vain=in_vain, reading=self._reading
-        )
-        return (
-            fault + self._shell.name_unexpected_publishers(self._refused_before) if fault else None
-        )
+        now, reading = self._clock.elapsed(), self._reading
+        why = self._watch.fault(now, step, drive.step, in_vain=in_vain, reading=reading)
+        return why + self._shell.name_unexpected_publishers(self._refused_before) if why else None
 
     def _wait_for_answer(self, step: int, longest: float) -> float:
         """Wait for the command of a step; return for how long, s."""
-        waited = rig_watch.wait_for_command(
-            self._shell, self._drive, step, longest, lambda: self._reason_to_end() is not None
-        )
-        self._waited_in_vain = self._drive.step < step
+        shell, drive, stop = self._shell, self._drive, self._reason_to_end
+        waited = rig_watch.wait_for_command(shell, drive, step, longest, stop)
+        self._waited_in_vain = drive.step < step
         return waited
 
     def _publish(self, step: int, sample: Floats, begun: float) -> None:

@@ -13,17 +13,11 @@ from seft_msgs_py.wire.outcome import REHEARSED, ZEROED
 from seft_msgs_py.wire.topics import RIG_STATE, Timebase, rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
+from seft_plant_sim import rig_watch
 from seft_plant_sim.command import Command
 from seft_plant_sim.hardware.hosted import HardwareError
 from seft_plant_sim.hardware.safe_stop import Stopped
 from seft_plant_sim.rig import Rig
-from seft_plant_sim.rig_watch import (
-    EARLY,
-    RoundTrip,
-    SampleClock,
-    wait_for_command,
-    wait_for_sample,
-)
 
 SOON = 1.0  # s, for which a failure of the hardware counts; and between two that are told
 
@@ -90,7 +84,7 @@ class RigRest:
             self.failure = ""
             self._tell("")
         if hardware.is_clock:  # a stop takes each sample at once
-            self.due = now + (not hardware.is_stopping) * (1 - EARLY) * self._period
+            self.due = now + (not hardware.is_stopping) * (1 - rig_watch.EARLY) * self._period
         stopped = self.attempt(partial(rig.come_to_rest, is_read=is_read))
         if stopped is not None:
             self._at_rest(stopped)
@@ -144,7 +138,7 @@ class Rehearsal:
         self._codec = TrajectoryCodec(RIG_STATE, shell.rig.axes, timebase)
         self._publish = shell.publisher(rehearsed(RIG_STATE))
         self._command = Command(drive.codec, drive.limit)
-        self._alone, self._round_trip = RoundTrip(), RoundTrip()
+        self._alone, self._round_trip = rig_watch.RoundTrip(), rig_watch.RoundTrip()
         self._times = self._alone
         shell.subscribe(rehearsed(drive.codec.topic), self._take, reliable=False)
 
@@ -176,7 +170,8 @@ class Rehearsal:
         rig, resting = self._rig, deque[Floats](maxlen=zeroing)
         rig.begin()
         command.reset()
-        self._times, missed, clock = self._alone, 0, SampleClock(period, 0.0, makes_up=False)
+        self._times, missed = self._alone, 0
+        clock = rig_watch.SampleClock(period, 0.0, makes_up=False)
         for times in (self._alone, self._round_trip):
             times.reset()
         for step in range(steps):
@@ -194,10 +189,10 @@ class Rehearsal:
             self._times.published(step, now)
             self._publish(raw)
             if step < first:
-                wait_for_command(shell, command, step, longest, stop)
+                rig_watch.wait_for_command(shell, command, step, longest, stop)
                 first, longest = first if command.step == step else step + 1, LATER_ANSWER
             else:
-                wait_for_sample(shell, command, step, clock, lambda: None)
+                rig_watch.wait_for_sample(shell, command, step, clock, lambda: None)
                 missed += command.step < step
             if stop():
                 return {}

@@ -79,11 +79,9 @@ class CommandWatch:
         if behind * period <= min(timeout, without / 2) and not in_vain:
             if reading > without / 2:
                 return f"the rig's hardware gave no sample for {reading:.3g} s"
-            return (
-                f"the rig stood still for {without:.3g} s, and its valve with it: its process or "
-                f"its host was stopped or overloaded ({timeout:g} s without a new {name} are "
-                "allowed)"
-            )
+            why = "its process or its host was stopped or overloaded"
+            most = f"({timeout:g} s without a new {name} are allowed)"
+            return f"the rig stood still for {without:.3g} s, and its valve with it: {why} {most}"
         self.waited = timeout
         last = f"(the last is of step {answered})"
         return f"no new {name} for {timeout:g} s {last}; is {self._topic.publisher} running?"
@@ -132,7 +130,7 @@ class SampleClock:
 
 
 def wait_for_command(
-    shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], bool]
+    shell: NodeShell, command: Command, step: int, longest: float, stop: Callable[[], object]
 ) -> float:
     """Wait at most ``longest`` s for the command of a step, or until ``stop``; give the time, s."""
     now = shell.clock.monotonic

@@ -19,15 +19,8 @@ from seft_plant_sim.compiled import compiled, multiply
 from seft_plant_sim.computed.computed_model import ComputedModel, ModelSource
 from seft_plant_sim.computed.computed_substructure import ComputedSubstructure
 from seft_plant_sim.rig_parameters import SIMULATED
-from seft_plant_sim.simulated.continuous_model import (
-    ContinuousModel,
-    Dynamics,
-    Motion,
-    at_rest,
-    dynamics_of,
-    integrate,
-    with_springs,
-)
+from seft_plant_sim.simulated import continuous_model
+from seft_plant_sim.simulated.continuous_model import ContinuousModel, Dynamics, Motion, integrate
 from seft_plant_sim.simulated.specimen import Specimen
 
 _TOLERANCE = 1e-5
@@ -99,8 +92,8 @@ class ShakenStructure:
 
     def __init__(self, structure: Specimen, dt: float, steps: int) -> None:
         self._structure, self._dt = structure, dt
-        self._dynamics = dynamics_of(_shaken(structure), [dt], dt / steps)
-        self._motion = at_rest(self._dynamics)
+        self._dynamics = continuous_model.dynamics_of(_shaken(structure), [dt], dt / steps)
+        self._motion = continuous_model.at_rest(self._dynamics)
         self._last: Floats | None = None
 
     def advance(self, ground_motion: Floats) -> Floats:
@@ -212,7 +205,7 @@ def _shaken(structure: Specimen) -> ContinuousModel:
     stiffness = np.hstack([structure.stiffness, zero, zero])
     c = np.vstack([np.eye(2 * n, 3 * n), a[n : 2 * n], stiffness])
     linear = ContinuousModel.linear(a, b, c, np.zeros((4 * n, n)), 0.0, "reference_force")
-    model = with_springs(linear, structure)
+    model = continuous_model.with_springs(linear, structure)
     if structure.springs:
         model.outputs[3 * n :] = structure.deformation.T
     return model
@@ -336,9 +329,8 @@ def whole_structure(experiment: Experiment) -> WholeStructure:
     InputError
         If the parameters make no such structure.
     """
-    return WholeStructure.of_test(
-        tested_specimen(experiment), experiment["reference_force"], experiment.axes
-    )
+    specimen, section = tested_specimen(experiment), experiment["reference_force"]
+    return WholeStructure.of_test(specimen, section, experiment.axes)
 
 
 def tested_specimen(experiment: Experiment) -> Specimen:

@@ -19,37 +19,11 @@ from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_plant_sim.compiled import compiled, dot, put_first
-from seft_plant_sim.judge.detectors import (
-    DIFFERS,
-    DISPLACEMENT_VELOCITY,
-    OIL,
-    SAMPLE,
-    TOLERANCES,
-    UNDESCRIBED,
-    VELOCITY_ACCELERATION,
-    DetectorParameters,
-    DetectorState,
-    first_of,
-    look,
-    sees,
-)
+from seft_plant_sim.judge import detectors
+from seft_plant_sim.judge import relation_following as following
+from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, sees
 from seft_plant_sim.judge.judge_step import is_replaced
-from seft_plant_sim.judge.relation_following import (
-    BIAS_OF,
-    CHANGE,
-    EVERY,
-    INTEGRAL,
-    MOTION_TO_NOISE,
-    NOISE_SIGMAS,
-    PER_DELAY,
-    PERIODS,
-    SCATTER,
-    WEIGHT,
-    expected,
-    follow,
-    remember,
-    uncertain,
-)
+from seft_plant_sim.judge.relation_following import BIAS_OF, CHANGE, INTEGRAL, NOISE_SIGMAS, PERIODS
 from seft_plant_sim.judge.valve_following import under_load
 
 Sides = tuple[float, float, float]
@@ -73,8 +47,8 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
 
 def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test with what is assumed."""
-    state.scatter[:, SCATTER] = (UNDESCRIBED[:, np.newaxis] / NOISE_SIGMAS) ** 2
-    state.scatter[:, WEIGHT] = 1.0
+    state.scatter[:, following.SCATTER] = (detectors.UNDESCRIBED[:, np.newaxis] / NOISE_SIGMAS) ** 2
+    state.scatter[:, following.WEIGHT] = 1.0
     for row in range(3):
         state.covariance[:, :, row, row] = p.deviation[:, row] ** 2
 
@@ -88,13 +62,7 @@ def resolution_of(state: DetectorState, row: int, i: int) -> float:
 
 @compiled
 def compare_channels(
-    p: DetectorParameters,
-    state: DetectorState,
-    relation: int,
-    n: int,
-    i: int,
-    sides: Sides,
-    rough: float,
+    p: DetectorParameters, state: DetectorState, relation: int, i: int, sides: Sides, rough: float
 ) -> int:
     """Compare the sums of the sides of a relation.
 
@@ -102,49 +70,48 @@ def compare_channels(
     ----------
     p, state
         The state is updated.
-    relation, n, i : int
-        Place of the relation, number of axes and place of the axis.
+    relation, i : int
+        Place of the relation, and of the axis.
     sides : Sides
         Of the last period.
     rough : float
         Difference of the sums by what came between the samples, and by the converter.
     """
     sums, found, scatter = state.sums[relation], state.estimated[relation], state.scatter[relation]
-    covariance, row = state.covariance[relation, i], DIFFERS + relation
+    covariance, row = state.covariance[relation, i], detectors.DIFFERS + relation
     fade = p.oil_fade if relation == OIL else p.fade
     change, integral, per_delay = sides
     now = (change, integral, per_delay, p.rig.dt)
     for place in range(4):
         sums[place, i] = fade * sums[place, i] + now[place]
-    off = sums[CHANGE, i] - expected(
-        found, i, sums[INTEGRAL, i], sums[PER_DELAY, i], sums[PERIODS, i]
-    )
+    summed = sums[INTEGRAL, i], sums[following.PER_DELAY, i], sums[PERIODS, i]
+    off = sums[CHANGE, i] - following.expected(found, i, *summed)
     whole = max(abs(sums[CHANGE, i]), abs(sums[INTEGRAL, i]), p.memory * state.largest[relation, i])
     state.largest[relation, i] = whole
-    noise, is_due = p.sums[relation, i], state.step[SAMPLE] % EVERY == 0
+    noise, is_due = p.sums[relation, i], state.step[detectors.SAMPLE] % following.EVERY == 0
     near = min(state.shares[row, i], 1.0) * (noise + rough)  # no threshold is smaller
     if abs(off) <= near and state.counts[row, i] == 0 and not is_due:
         return -1  # as mostly
-    by_estimates = uncertain(covariance, sums[INTEGRAL, i], sums[PER_DELAY, i], sums[PERIODS, i])
-    left = max(scatter[SCATTER, i], 0.0) * whole * whole
+    by_estimates = following.uncertain(covariance, *summed)
+    left = max(scatter[following.SCATTER, i], 0.0) * whole * whole
     known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
     bias = NOISE_SIGMAS * math.sqrt(max(covariance[BIAS_OF, BIAS_OF], 0.0))
     bias = min(bias, p.deviation[relation, BIAS_OF, i]) * sums[PERIODS, i]
-    most = noise + bias + TOLERANCES[relation] * whole
+    most = noise + bias + detectors.TOLERANCES[relation] * whole
     if relation == OIL and p.rig.imposes:  # its valve may yet saturate, or the specimen stop it
         known = most
     threshold = min(known, most) + rough
-    is_fault = look(p, state, row, i, abs(off), threshold)
+    is_fault = detectors.look(p, state, row, i, abs(off), threshold)
     if is_due and state.counts[row, i] == 0:
         persistent = p.correlated[relation] * ((rough / NOISE_SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
         doubt = white * (noise / NOISE_SIGMAS) ** 2 + persistent
-        moves = whole > MOTION_TO_NOISE / NOISE_SIGMAS * (noise + rough)
+        moves = whole > following.MOTION_TO_NOISE / NOISE_SIGMAS * (noise + rough)
         limits, drift = p.most[relation], p.drift[relation]
-        follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
+        following.follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
         usual, by_noise = known / NOISE_SIGMAS, noise / NOISE_SIGMAS
-        remember(scatter, i, off, usual, whole, by_noise, EVERY * p.rig.dt)
-    return row * n + i if is_fault else -1
+        following.remember(scatter, i, off, usual, whole, by_noise, following.EVERY * p.rig.dt)
+    return row * sums.shape[1] + i if is_fault else -1
 
 
 @compiled
@@ -157,7 +124,7 @@ def displacement_velocity(
     moved = 0.5 * p.rig.dt * (measured[1, i] + last[1, i] - bend)
     rough = p.late * abs(change) + resolution_of(state, DISPLACEMENT, i)
     sides = (measured[0, i] - last[0, i], moved, -change)
-    return compare_channels(p, state, DISPLACEMENT_VELOCITY, measured.shape[1], i, sides, rough)
+    return compare_channels(p, state, detectors.DISPLACEMENT_VELOCITY, i, sides, rough)
 
 
 @compiled
@@ -179,7 +146,7 @@ def velocity_acceleration(
     rough = (0.5 * p.rig.dt + p.late) * rises + resolution_of(state, VELOCITY, i)
     gained = 0.5 * p.rig.dt * (measured[2, i] + last[2, i])
     sides = (measured[1, i] - last[1, i], gained, -rise)
-    return compare_channels(p, state, VELOCITY_ACCELERATION, measured.shape[1], i, sides, rough)
+    return compare_channels(p, state, detectors.VELOCITY_ACCELERATION, i, sides, rough)
 
 
 @compiled
@@ -192,7 +159,7 @@ def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i
     leaked = p.rig.dt * p.rig.actuator[i, 2] * force
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
     rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, DISPLACEMENT, i)
-    return compare_channels(p, state, OIL, measured.shape[1], i, (change, flow, later), rough)
+    return compare_channels(p, state, OIL, i, (change, flow, later), rough)
 
 
 @compiled

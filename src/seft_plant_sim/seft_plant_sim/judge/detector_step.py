@@ -12,35 +12,15 @@ from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.judge import detectors, specimen_force
 from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
-from seft_plant_sim.judge.detectors import (
-    AT_RANGE,
-    FROZEN,
-    JUMP,
-    OIL,
-    SAMPLE,
-    SECOND_ORDER_WORK,
-    SUSPECT,
-    TURN_AT,
-    VALID,
-    WRONG,
-    DetectorParameters,
-    DetectorState,
-    first_of,
-    look,
-    sees,
-)
+from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, look
 from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
 from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
-from seft_plant_sim.judge.specimen_force import (
-    look_at_restoring_force,
-    look_at_strength,
-    look_at_work,
-)
 from seft_plant_sim.judge.valve_following import under_load
 
-OF_SENSORS = (0, 1, SECOND_ORDER_WORK, JUMP)
+OF_SENSORS = (0, 1, detectors.SECOND_ORDER_WORK, detectors.JUMP)
 """Detectors that make a sample suspect."""
 
 SAME, SUSPECTED = 1e-11, 2.0 / 3.0
@@ -53,7 +33,7 @@ def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     for each in state[:-1]:
         each[...] = 0
     state.step[:] = LONG_AGO
-    state.step[AT_RANGE:] = p.rig.waits - 1  # nothing new is seen before
+    state.step[detectors.AT_RANGE :] = p.rig.waits - 1  # nothing new is seen before
     begin_relations(p, state)
     begin_judge(p.judge, state.judge)
 
@@ -85,14 +65,14 @@ def judge_sample(
         The sample for the loop, finite, see `judge`; shape (4, n). The result.
     """
     # beyond 60 lines: the order of what looks at a sample stands in one place
-    n, found = raw.shape[1], VALID
-    lost = step - state.step[SAMPLE] - 1
+    n, found = raw.shape[1], detectors.VALID
+    lost = step - state.step[detectors.SAMPLE] - 1
     for row in range(4):
         for i in range(n):
             if abs(raw[row, i]) >= p.rig.ranges[row, i]:
-                state.step[AT_RANGE + row] = step
+                state.step[detectors.AT_RANGE + row] = step
     is_first = lost > 0
-    state.step[SAMPLE] = step
+    state.step[detectors.SAMPLE] = step
     if p.rig.has_valve:
         find_flow(p, state, lost, drive)
     for i in range(n):
@@ -113,16 +93,18 @@ def judge_sample(
     if not is_first:
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:
-                state.step[TURN_AT] = step
-        knows_force = sees(state, step, ACCELERATION) and sees(state, step, FORCE)
+                state.step[detectors.TURN_AT] = step
+        knows_force = detectors.sees(state, step, ACCELERATION)
+        knows_force &= detectors.sees(state, step, FORCE)
         if knows_force:
-            found = first_of(found, look_at_work(p, state, judged))
-            found = first_of(found, look_at_strength(p, state, judged))
+            found = first_of(found, specimen_force.look_at_work(p, state, judged))
+            found = first_of(found, specimen_force.look_at_strength(p, state, judged))
         for i in range(n):
             found = first_of(found, relations(p, state, step, judged, i))
             found = first_of(found, look_for_frozen(p, state, step, i))
             if knows_force:
-                found = first_of(found, look_at_restoring_force(p, state, step, judged, i))
+                jump = specimen_force.look_at_restoring_force(p, state, step, judged, i)
+                found = first_of(found, jump)
     for i in range(n):
         known = 0.0 if is_first else 1.0
         put_first(state.changes[i, 0], known * (restoring[1, i] - restoring[0, i]))
@@ -133,28 +115,28 @@ def judge_sample(
         found = first_of(found, look_for_wrong(p, state, i))
         for row in OF_SENSORS:
             if state.counts[row, i] and p.acts[row]:
-                found = first_of(found, SUSPECT)
+                found = first_of(found, detectors.SUSPECT)
     return found
 
 
 @compiled
 def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
     """Whether samples of an axis were wrong too often; the second such sample is suspect."""
-    found, counts = VALID, state.judge.counts
+    found, counts = detectors.VALID, state.judge.counts
     often = max(counts[0, i], counts[1, i], counts[2, i], counts[3, i])
     for row in range(4):
         count = counts[row, i]
-        if not (count or state.counts[WRONG + row, i]):
+        if not (count or state.counts[detectors.WRONG + row, i]):
             continue  # it is right, as nearly always
         most = p.judge.most
         if count == often:  # of all that were wrong, it is named
             count = counts[ANY_ROW, i]
             if counts[SEVERAL_ROW, i] >= MOST:
                 count, most = counts[SEVERAL_ROW, i], MOST
-        if look(p, state, WRONG + row, i, float(count), most - 0.5) and found < 0:
-            found = (WRONG + row) * state.last.shape[1] + i
-        if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[WRONG + row]:
-            found = first_of(found, SUSPECT)
+        if look(p, state, detectors.WRONG + row, i, float(count), most - 0.5) and found < 0:
+            found = (detectors.WRONG + row) * state.last.shape[1] + i
+        if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[detectors.WRONG + row]:
+            found = first_of(found, detectors.SUSPECT)
     return found
 
 
@@ -164,22 +146,22 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
 
     The chances of the others count: what one amplifier or converter gives freezes together.
     """
-    n, found, judge, whole = state.last.shape[1], VALID, state.judge, 0.0
+    n, found, judge, whole = state.last.shape[1], detectors.VALID, state.judge, 0.0
     for row in range(4):
-        moved = judge.moved[row, i] != 0.0 or not sees(state, step, row)
+        moved = judge.moved[row, i] != 0.0 or not detectors.sees(state, step, row)
         state.repeats[row, i] = 0 if moved else state.repeats[row, i] + 1
         if state.repeats[row, i]:
             whole += state.repeats[row, i] * log_same(p, judge, row, i)
     for row in range(4):
-        if not (state.repeats[row, i] or state.counts[FROZEN + row, i]):
+        if not (state.repeats[row, i] or state.counts[detectors.FROZEN + row, i]):
             continue  # it moves, as nearly always
         repeats, threshold = float(state.repeats[row, i]), np.inf
         if whole < 0.0 and repeats > 0.0:
             threshold = repeats * math.log(SAME) / whole
-        if look(p, state, FROZEN + row, i, repeats, threshold) and found < 0:
-            found = (FROZEN + row) * n + i
-        if repeats > SUSPECTED * threshold and p.acts[FROZEN + row]:
-            found = first_of(found, SUSPECT)
+        if look(p, state, detectors.FROZEN + row, i, repeats, threshold) and found < 0:
+            found = (detectors.FROZEN + row) * n + i
+        if repeats > SUSPECTED * threshold and p.acts[detectors.FROZEN + row]:
+            found = first_of(found, detectors.SUSPECT)
     return found
 
 

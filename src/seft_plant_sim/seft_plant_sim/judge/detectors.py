@@ -9,32 +9,15 @@ from seft_msgs_py.arrays import Floats, Ints, zeros
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
+from seft_plant_sim import channels
 from seft_plant_sim.calibration import MAX_BIAS, known_channels
-from seft_plant_sim.channels import (
-    ACCELERATION,
-    Derivation,
-    acceleration_is_derived,
-    per_channel,
-    velocity_is_derived,
-)
+from seft_plant_sim.channels import ACCELERATION, Derivation, acceleration_is_derived, per_channel
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge import known_rig, valve_following
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
 from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
-from seft_plant_sim.judge.known_rig import (
-    ASSUMED_ACTUATOR,
-    command_limit,
-    known_responses,
-    read_actuators,
-    read_specimen,
-)
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, EVERY, NOISE_SIGMAS
 from seft_plant_sim.judge.servo_model import last_periods
-from seft_plant_sim.judge.valve_following import (
-    LARGEST_DELAY_ERROR,
-    LARGEST_GAIN_ERROR,
-    UNCERTAIN_DELAY,
-    UNCERTAIN_GAIN,
-)
 from seft_plant_sim.judge.valve_model import valve_models
 
 _MEMORY, _OIL_MEMORY = 0.05, 0.2
@@ -167,7 +150,7 @@ def detector_arrays(
     noise, limits, dt, mass = known.noise, known.limits, known.dt, known.mass
     has_valve, velocity_is_derived = known.has_valve, known.velocity_is_derived
     n, fade, oil_fade = noise.shape[1], fade_of_sums(dt), math.exp(-dt / _OIL_MEMORY)
-    x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
+    assumed = x, v, a, f = assumed_noise(noise, limits, velocity_is_derived, dt)
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
     if known.imposes:
         actuator[:] = 1.0, np.inf, 0.0, np.inf
@@ -177,15 +160,15 @@ def detector_arrays(
     oil = np.where(is_known, f / actuator[:, 1], np.inf)
     sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
-    late = UNCERTAIN_DELAY if velocity_is_derived else 0.0
+    late = valve_following.UNCERTAIN_DELAY if velocity_is_derived else 0.0
     has_oil = is_known & (not known.imposes)
     null = np.where(has_oil, NULL * actuator[:, 0] * known.largest_drive, 0.0)
     deviation, most = _uncertain_relations(v, a, null, late)
     unknown = 0.0 if mass.any() and known.stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     judging, judged = judge_arrays(
-        np.array([x, v, a, f]),
-        _at_rest(np.array([x, v, a, f]), limits, zeroed),
+        assumed,
+        _at_rest(assumed, limits, zeroed),
         np.transpose([np.where(has_oil, actuator[:, 1], 0.0), actuator[:, 2]]),
         mass,
         known.stiffness,
@@ -203,7 +186,7 @@ def detector_arrays(
         short=math.exp(-1.0 / max(SHORT / dt, FEWEST)),
         memory=math.exp(-dt / MOTION_MEMORY),
         by_force=by_force,
-        noise=np.array([x, v, a, f]),
+        noise=assumed,
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
@@ -229,16 +212,17 @@ def _uncertain_relations(v: Floats, a: Floats, null: Floats, late: float) -> tup
     (3, 3, n).
     """
     one = np.ones_like(v)
+    gain, delay = valve_following.LARGEST_GAIN_ERROR, valve_following.LARGEST_DELAY_ERROR
     most = np.array(
         [
             [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
             [TOLERANCES[1] * one, (CHANNELS_APART + late) * one, BIAS * a],
-            [LARGEST_GAIN_ERROR * one, LARGEST_DELAY_ERROR * one, NOISE_SIGMAS * null],
+            [gain * one, delay * one, NOISE_SIGMAS * null],
         ]
     )
     deviation = most.copy()
     deviation[:2, :2] /= NOISE_SIGMAS
-    deviation[2] = UNCERTAIN_GAIN * one, UNCERTAIN_DELAY * one, null
+    deviation[2] = valve_following.UNCERTAIN_GAIN * one, valve_following.UNCERTAIN_DELAY * one, null
     return deviation, most
 
 
@@ -260,12 +244,7 @@ DIFFERS, SECOND_ORDER_WORK, WEAKENS, JUMP, FROZEN, WRONG = 0, 3, 4, 5, 6, 10
 
 @compiled
 def look(
-    p: DetectorParameters,
-    state: DetectorState,
-    row: int,
-    i: int,
-    seen: float,
-    threshold: float,
+    p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
 ) -> bool:
     """Compare a detector's value with its threshold; say whether it has persisted and acts."""
     if 0.0 < threshold < np.inf and seen > state.shares[row, i] * threshold:  # no division
@@ -309,9 +288,8 @@ def warning_detectors(section: Mapping[str, Any]) -> list[str]:
     listed = section["detectors.warn_only"].replace(",", " ").split()
     for name in listed:
         if name not in (*names, ALL):
-            raise InputError(
-                f"rig: detectors.warn_only: no detector {name!r}; there are {', '.join(names)}"
-            )
+            there = ", ".join(names)
+            raise InputError(f"rig: detectors.warn_only: no detector {name!r}; there are {there}")
     return names if ALL in listed else listed
 
 
@@ -343,42 +321,40 @@ def detectors_of(
         If assumed values do not fit the axes, or there is no detector of a given name.
     """
     own, warn_only = list(places), warning_detectors(section)
-    actuator = read_actuators(section, axes, places)
+    actuator = known_rig.read_actuators(section, axes, places)
     is_known = actuator["valve_frequency"] > 0.0
     is_known &= section["actuator.kind"] != POSITION_SERVO  # its valve obeys no command of ours
     actuator["flow_gain"] = np.where(is_known, actuator["flow_gain"], 0.0)
     actuator["valve_frequency"] = np.where(is_known, actuator["valve_frequency"], 1.0 / dt)
-    mass, stiffness = read_specimen(section, axes, places)
+    mass, stiffness = known_rig.read_specimen(section, axes, places)
     past = np.array([valve.last_period() for valve in valve_models(actuator, dt)])
     imposes = section["actuator.kind"] == POSITION_SERVO
     imposes = imposes and bool(np.any(section["actuator.response.numerator"]))
     if imposes:
-        past = last_periods(section, known_responses(section, axes, own))
-    noise, ranges = (
-        np.ascontiguousarray(per_channel(section, axes, f"sensors.{{}}_{what}")[:, own])
-        for what in ("noise", "range")
-    )
+        past = last_periods(section, known_rig.known_responses(section, axes, own))
+    noise = np.ascontiguousarray(per_channel(section, axes, "sensors.{}_noise")[:, own])
+    ranges = np.ascontiguousarray(per_channel(section, axes, "sensors.{}_range")[:, own])
     if acceleration_is_derived(section):  # nothing else is compared with it, and no sensor ends it
         noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
         mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     bits = section["sensors.adc_bits"]
-    channels = known_channels(section, axes)  # a range is of what a sensor shows
-    bias, scale = (np.abs(channels[what][:, own]) for what in ("bias", "scale"))
-    late = channels["lag"]
+    shown = known_channels(section, axes)  # a range is of what a sensor shows
+    bias, scale = (np.abs(shown[what][:, own]) for what in ("bias", "scale"))
+    late = shown["lag"]
     known = KnownRig(
         noise=noise,
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),
         ranges=(ranges - bias) / scale,
         steps=ranges * (2.0 ** (1 - bits) if bits else 0.0) / scale,
-        velocity_is_derived=velocity_is_derived(section),
+        velocity_is_derived=channels.velocity_is_derived(section),
         derivation=Derivation.from_parameters(section, dt),
-        actuator=np.transpose([actuator[name] for name in ASSUMED_ACTUATOR]),
+        actuator=np.transpose([actuator[name] for name in known_rig.ASSUMED_ACTUATOR]),
         past=past,
         imposes=imposes,
         has_valve=section["actuator.kind"] not in FORCE_DRIVEN,
         mass=mass,
         stiffness=stiffness,
-        largest_drive=command_limit(section),
+        largest_drive=known_rig.command_limit(section),
         waits=np.ceil((late.max() - late[:, own]).max(axis=1) / dt).astype(np.int64),
         dt=dt,
     )

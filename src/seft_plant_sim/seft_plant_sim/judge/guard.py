@@ -12,24 +12,11 @@ from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.calibration import Calibration, CalibrationState, calibrate, calibration_of
 from seft_plant_sim.channels import VELOCITY, Derivation, converters, derive_velocity
 from seft_plant_sim.compiled import compiled, entry_point
+from seft_plant_sim.judge import detectors, servo_model
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
-from seft_plant_sim.judge.detectors import (
-    FROZEN,
-    VALID,
-    WRONG,
-    DetectorParameters,
-    DetectorState,
-    detectors_of,
-)
+from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState, detectors_of
 from seft_plant_sim.judge.hypotheses import FORCES
-from seft_plant_sim.judge.servo_model import (
-    AccelerationParameters,
-    AccelerationState,
-    acceleration_of,
-    derive_acceleration,
-    follow_displacement,
-)
 from seft_plant_sim.limits import Limits, event_ring, exceeds, is_exceeded
 
 SUSPECT_ROW, DRIVE_ROW = 4, 5
@@ -75,7 +62,7 @@ class GuardParameters(NamedTuple):
 
     calibration: Calibration
     derivation: Derivation
-    acceleration: AccelerationParameters
+    acceleration: servo_model.AccelerationParameters
     range: Floats
     limits: Floats
     window: int
@@ -86,7 +73,7 @@ class GuardState(NamedTuple):
     """State of a guard."""
 
     calibration: CalibrationState  # of the channels
-    acceleration: AccelerationState  # of a derived one
+    acceleration: servo_model.AccelerationState  # of a derived one
     measured: Annotated[Floats, 4, "n"]  # the last sample as measured, calibrated and aligned
     recent: Floats  # see `exceeds`
     change: Floats
@@ -135,7 +122,7 @@ def guard_step(
     if len(p.calibration.bias):
         calibrate(p.calibration, state.calibration, step, measured, measured)
     derive_velocity(p.derivation, step, state.detectors.last, measured)
-    derive_acceleration(p.acceleration, state.acceleration, step, drive, measured)
+    servo_model.derive_acceleration(p.acceleration, state.acceleration, step, drive, measured)
     counts, judged, is_blind = state.counts, sample[:4], found > 0
     beyond = exceeds(p.limits, step, state.recent, measured, state.change, state.largest)
     counts[_OUTSIDE] = counts[_OUTSIDE] + 1 if beyond & 1 else 0
@@ -147,11 +134,11 @@ def guard_step(
             found |= BLIND
         counts[_BLIND_SAMPLES] += 1
     counts[DETECTED] = judge_sample(p.detectors, state.detectors, step, measured, drive, judged)
-    follow_displacement(p.acceleration, state.acceleration, step, judged)
+    servo_model.follow_displacement(p.acceleration, state.acceleration, step, judged)
     if counts[DETECTED] >= 0:
         found |= FAULT
     for i in range(n):
-        sample[SUSPECT_ROW, i] = 1.0 if counts[DETECTED] != VALID else 0.0
+        sample[SUSPECT_ROW, i] = 1.0 if counts[DETECTED] != detectors.VALID else 0.0
         sample[DRIVE_ROW, i] = drive[i]
         for row in range(4):
             state.measured[row, i] = measured[row, i]
@@ -197,18 +184,18 @@ class Guard:
         ranges, resolution = converters(section, axes, places, "sensors.adc_bits")
         calibration = calibration_of(section, axes, places, dt, ranges, resolution)
         derivation = Derivation.from_parameters(section, dt)
-        acceleration = acceleration_of(section, axes, places, dt)
+        acceleration = servo_model.acceleration_of(section, axes, places, dt)
         limits = Limits(group(section, "limits"), rig.axes, dt)
-        detectors = detectors_of(section, axes, dt, places, zeroed)
+        detecting = detectors_of(section, axes, dt, places, zeroed)
         self.limits, self._axes, self._dt = limits, rig.axes, dt
         self._saturated_time: float = section["limits.saturated_time"]
         n, (blind, window) = len(rig.axes), event_ring(self._saturated_time, dt)
         self.parameters = GuardParameters(
-            calibration[0], derivation, acceleration[0], ranges, limits.values, window, detectors[0]
+            calibration[0], derivation, acceleration[0], ranges, limits.values, window, detecting[0]
         )
         made = {"calibration": calibration[1], "acceleration": acceleration[1], "blind": blind}
         made |= {name: getattr(limits, name) for name in ("recent", "change", "largest")}
-        self.state = zeros(GuardState, {"n": n}, detectors=detectors[1], **made)
+        self.state = zeros(GuardState, {"n": n}, detectors=detecting[1], **made)
         both, sample = (self.parameters, self.state), np.zeros((DRIVE_ROW + 1, n))
         self._step = entry_point(guard_step, *both, 0, np.zeros((4, n)), sample[0], sample)
 
@@ -247,7 +234,7 @@ class Guard:
         if (row >= WRONG or not found & FAULT) and not (unsure or (judge.replaced & FORCES).any()):
             return last
         since = 1 + max(wrong, default=0)
-        if found & FAULT and FROZEN <= row < WRONG:
+        if found & FAULT and detectors.FROZEN <= row < WRONG:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
         elif row < WRONG or len(wrong) < since:
             since = max(since, round(FOUND_IN / self._dt))
@@ -265,7 +252,5 @@ class Guard:
         if found & OUTSIDE_LIMITS:
             return limits.describe(state.measured)
         blind = sorted(name for name in CHANNELS if found & RANGES[f"{name}_range"])
-        return (
-            f"{' and '.join(blind)} at the end of the sensor's range for more than "
-            f"{self._saturated_time:g} s within one second: their channels are unknown"
-        )
+        most = f"{self._saturated_time:g} s within one second: their channels are unknown"
+        return f"{' and '.join(blind)} at the end of the sensor's range for more than {most}"

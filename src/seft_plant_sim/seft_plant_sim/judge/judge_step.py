@@ -28,39 +28,10 @@ from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.channels import derived
 from seft_plant_sim.compiled import compiled, copy
-from seft_plant_sim.judge.hypotheses import (
-    ANY_CHANNEL,
-    EVENT,
-    FORCES,
-    RARE,
-    A,
-    F,
-    V,
-    X,
-    allow_turn,
-    distance,
-    factorise,
-    fill_gram,
-    is_turn,
-    log_amplitudes,
-    log_prior,
-    members,
-    solve,
-    weigh_end,
-    whiten,
-    wrong_before,
-)
-from seft_plant_sim.judge.judge import (
-    ALIVE,
-    ANY_ROW,
-    REVISED,
-    SETS,
-    SEVERAL_ROW,
-    UNKNOWN,
-    JudgeParameters,
-    JudgeState,
-    Record,
-)
+from seft_plant_sim.judge import hypotheses
+from seft_plant_sim.judge import judge as records
+from seft_plant_sim.judge.hypotheses import ANY_CHANNEL, EVENT, FORCES, RARE, A, F, V, X, members
+from seft_plant_sim.judge.judge import REVISED, UNKNOWN, JudgeParameters, JudgeState, Record
 from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
@@ -233,7 +204,7 @@ def _find_blur(known: Record, axis: Record) -> None:
                 value += known.now[row, k] * noise[k] * known.now[column, k]
                 value += known.before[row, k] * before[k] * known.before[column, k]
             axis.blur[row, column] = value
-    factorise(axis.blur, axis.root, 4)
+    hypotheses.factorise(axis.blur, axis.root, 4)
 
 
 find_blur = compiled(_find_blur, inline=False)
@@ -290,7 +261,7 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not (fit_noise(axis, c) or distance(c) < PLAIN):
+    if not (fit_noise(axis, c) or hypotheses.distance(c) < PLAIN):
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
@@ -357,31 +328,28 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
     count, forced = 0, (c.forced | c.forced >> 4) & ANY_CHANNEL
     for j in range(axis.count):
         b = axis.alive[j]
-        before, is_sound = wrong_before(b), forced == 0
+        before, is_sound = hypotheses.wrong_before(b), forced == 0
         compare_apart(known, axis, c, b, flow)
         for turns in (False, True):
-            goes_on = allow_turn(known, axis, c, b) if turns else 0.0
-            log_det = math.log(whiten(known, c))
-            chi2 = fill_gram(known, c) + goes_on
+            goes_on = hypotheses.allow_turn(known, axis, c, b) if turns else 0.0
+            log_det = math.log(hypotheses.whiten(known, c))
+            chi2 = hypotheses.fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
-            for which in SETS:
-                if forced & ~which or which & known.never or is_turn(which) != turns:
+            for which in records.SETS:
+                if forced & ~which or which & known.never or hypotheses.is_turn(which) != turns:
                     continue
                 if is_sound and which & ~before:
                     continue
-                gain, log_det_b = solve(c, which, count)
+                gain, log_det_b = hypotheses.solve(c, which, count)
                 c.branch[count], c.which[count] = j, which
-                c.likelihood[count] = (
-                    b.weight
-                    - 0.5 * (chi2 - gain + log_det + log_det_b)
-                    + log_prior(before, which, c.forced)
-                    + log_amplitudes(known, axis, c, count)
-                )
+                weight = b.weight - 0.5 * (chi2 - gain + log_det + log_det_b)
+                weight += hypotheses.log_prior(before, which, c.forced)
+                c.likelihood[count] = weight + hypotheses.log_amplitudes(known, axis, c, count)
                 count += 1
             if is_sound:
                 break
     new, top = 0, c.likelihood[likeliest(c.likelihood, count)]
-    for _ in range(ALIVE):
+    for _ in range(records.ALIVE):
         at = likeliest(c.likelihood, count)
         if not c.likelihood[at] > top + LEAST:
             break
@@ -424,7 +392,7 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
             end, is_end = known.range[row], c.forced >> row + 4 & 1
             value -= c.amplitude[at, row]
             variance = max(c.spread[at, row], variance)
-            if is_end and weigh_end(known, c, b, row, at)[1]:
+            if is_end and hypotheses.weigh_end(known, c, b, row, at)[1]:
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
                 to.wrong[0] &= ~(1 << row)
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
@@ -497,8 +465,8 @@ def publish(state: JudgeState, i: int, judged: Floats) -> None:
             continue  # as nearly always
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
-        state.counts[ANY_ROW, i] += int(now != 0) - int(was != 0)
-        state.counts[SEVERAL_ROW, i] += int(members(now) > 1) - int(members(was) > 1)
+        state.counts[records.ANY_ROW, i] += int(now != 0) - int(was != 0)
+        state.counts[records.SEVERAL_ROW, i] += int(members(now) > 1) - int(members(was) > 1)
         state.replaced[place, i] = now
     for row in range(4):
         judged[row, i] = b.value[0, row]

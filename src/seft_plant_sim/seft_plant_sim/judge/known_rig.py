@@ -15,6 +15,7 @@ from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
 """Columns of an array of actuators."""
+_FIND_IT = "find it with seft identify CONFIG, and give its model.yaml with --params-file"
 _BESIDE = ("friction", "friction_velocity", "valve_frequency", "valve_damping", "dead_time")
 
 
@@ -46,10 +47,7 @@ def known_actuators(
     known = read_actuators(section, axes, places)
     for name in ("flow_gain", "oil_stiffness", "valve_frequency", "valve_damping"):
         if not known[name].all():
-            raise InputError(
-                f"/**: actuator.{name} is not known: find it with seft identify CONFIG, and give "
-                "its model.yaml with --params-file"
-            )
+            raise InputError(f"/**: actuator.{name} is not known: {_FIND_IT}")
     capacity = known["force_capacity"]
     known["force_capacity"] = np.where(capacity > 0.0, capacity, np.inf)
     return known
@@ -88,23 +86,18 @@ def known_responses(
     for part in ("numerator", "denominator"):
         values = np.atleast_1d(np.asarray(section[f"actuator.response.{part}"], dtype=np.float64))
         if len(values) % each:
-            raise InputError(
-                f"{name}.{part} has {len(values)} coefficients for {each} axes; give each as many"
-            )
+            many = f"{len(values)} coefficients for {each} axes"
+            raise InputError(f"{name}.{part} has {many}; give each as many")
         parts.append(np.broadcast_to(values.reshape(each, -1), (len(axes), len(values) // each)))
     responses = []
     for place in places:
         top, below = (np.trim_zeros(part[place], "f") for part in parts)
         if not len(top):
-            raise InputError(
-                f"{name} is not known: find it with seft identify CONFIG, and give its model.yaml "
-                "with --params-file"
-            )
+            raise InputError(f"{name} is not known: {_FIND_IT}")
         if len(top) >= len(below) or np.roots(below).real.max() >= 0.0 or not top[-1]:
-            raise InputError(
-                f"{name}: {top.tolist()} over {below.tolist()} is no response of a displacement "
-                "servo: it must be stable, have more poles than zeros, and follow at rest"
-            )
+            what = f"{top.tolist()} over {below.tolist()} is no response of a displacement servo"
+            must = "it must be stable, have more poles than zeros, and follow at rest"
+            raise InputError(f"{name}: {what}: {must}")
         responses.append(TransferFunction(tuple(top), tuple(below), float(dead_time[place])))
     return responses
 
@@ -114,11 +107,6 @@ def read_specimen(
 ) -> tuple[Floats, Floats]:
     """Read mass (kg) and stiffness (N/m) on the rig, for the axes at some places, each (n, n)."""
     own = np.ix_(list(places), list(places))
-    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")[own]
-    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")[
-        own
-    ]
-    return (
-        np.ascontiguousarray(mass),
-        np.ascontiguousarray(stiffness),
-    )
+    mass = mass_matrix(section["specimen.mass"], axes, "/**: specimen.mass")
+    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, "/**: specimen.stiffness")
+    return np.ascontiguousarray(mass[own]), np.ascontiguousarray(stiffness[own])

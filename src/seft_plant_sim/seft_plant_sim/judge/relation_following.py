@@ -41,12 +41,8 @@ ESTIMATE_DRIFT = 0.003
 @compiled
 def expected(found: Floats, i: int, integral: float, per_delay: float, periods: float) -> float:
     """Give the change that the estimates expect."""
-    return (
-        integral
-        + found[GAIN, i] * integral
-        + found[DELAY, i] * per_delay
-        + found[BIAS_OF, i] * periods
-    )
+    change = integral + found[GAIN, i] * integral + found[DELAY, i] * per_delay
+    return change + found[BIAS_OF, i] * periods
 
 
 @compiled

@@ -114,10 +114,8 @@ def last_periods(section: Mapping[str, Any], responses: Sequence[TransferFunctio
     memory = int(np.flatnonzero((np.abs(moved) > NEGLIGIBLE_FLOW * largest).any(axis=0))[-1]) + 1
     late = [(response.dead_time + lag) / dt + 1.0 for response in responses]
     age = np.arange(memory + int(max(late)) + 2)
-    shown = [
-        np.interp(age - each, age[:memory], row[:memory], 0.0, 0.0)
-        for each, row in zip(late, moved, strict=True)
-    ]
+    each = zip(late, moved, strict=True)
+    shown = [np.interp(age - after, age[:memory], row[:memory], 0.0, 0.0) for after, row in each]
     rate = np.gradient(shown, axis=1) / dt
     return np.ascontiguousarray(np.diff([shown, -rate], axis=2).swapaxes(0, 1) / dt)
 
@@ -201,10 +199,9 @@ def acceleration_of(
     """
     kind = section["actuator.kind"]
     if acceleration_is_derived(section) and kind != POSITION_SERVO:
-        raise InputError(
-            f"/**: sensors.acceleration is derived, but actuator.kind is {kind}: only the commands "
-            f"of a {POSITION_SERVO} tell the acceleration; measure it"
-        )
+        why = f"only the commands of a {POSITION_SERVO} tell the acceleration; measure it"
+        other = f"actuator.kind is {kind}: {why}"
+        raise InputError(f"/**: sensors.acceleration is derived, but {other}")
     if not acceleration_is_derived(section):
         none = np.zeros((0, 0))
         late = np.zeros(0)

@@ -15,15 +15,8 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.detectors import (
-    JUMP,
-    SECOND_ORDER_WORK,
-    TURN_AT,
-    WEAKENS,
-    DetectorParameters,
-    DetectorState,
-    look,
-)
+from seft_plant_sim.judge import detectors
+from seft_plant_sim.judge.detectors import JUMP, WEAKENS, DetectorParameters, DetectorState, look
 from seft_plant_sim.judge.judge_step import LIKE
 
 OPPOSED = 0.5
@@ -52,7 +45,7 @@ def look_at_restoring_force(
     before, branch = state.changes[i, 0], state.judge.axes[i].alive[0]
     event, revised = branch.event, branch.restoring[1] - r[0, i]  # what was r then, as known now
     moves = p.still[i] + MOVES * state.judge.axes[i].travel
-    slips = moved < moves or step - state.step[TURN_AT] <= TURNED
+    slips = moved < moves or step - state.step[detectors.TURN_AT] <= TURNED
     largest = state.largest[3, i]
     if event[1] == 0.0:
         largest = max(abs(r[0, i]), p.memory * largest)
@@ -101,9 +94,8 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
         work[0] += change * moved
         work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
     threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
-    return (
-        SECOND_ORDER_WORK * n if look(p, state, SECOND_ORDER_WORK, 0, -work[0], threshold) else -1
-    )
+    acts = look(p, state, detectors.SECOND_ORDER_WORK, 0, -work[0], threshold)
+    return detectors.SECOND_ORDER_WORK * n if acts else -1
 
 
 @compiled

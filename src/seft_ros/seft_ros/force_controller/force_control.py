@@ -159,17 +159,13 @@ class TransferState(NamedTuple):
 
 @compiled
 def transfer_step(
-    parameters: TransferParameters,
-    state: TransferState,
-    points: Floats,
-    measured: Floats,
-    command: Floats,
+    p: TransferParameters, state: TransferState, points: Floats, measured: Floats, command: Floats
 ) -> bool:
     """Find the drive that answers a sample.
 
     Parameters
     ----------
-    parameters, state
+    p, state
         The state is updated.
     points : ndarray
         Of the reference force, shape (p, q, n).
@@ -183,7 +179,7 @@ def transfer_step(
     bool
         Whether the drive is at its limit on any axis.
     """
-    p, work, result, n = parameters, state.work, state.result, len(command)
+    work, result, n = state.work, state.result, len(command)
     delays, last, limited = len(work) - n, points.shape[1] - 1, False
     for i in range(n):
         error = points[0, last, i]
@@ -260,10 +256,9 @@ class ForceController:
             raise InputError(f"force_controller: {error}") from None
         orders = {len(a) - 1 for _, a in sampled}
         if len(orders) > 1:
-            raise InputError(
-                f"force_controller: denominators of degree {min(orders)} and {max(orders)}; give "
-                "them the same, with leading zeros in the numerator"
-            )
+            mend = "give them the same, with leading zeros in the numerator"
+            degrees = f"{min(orders)} and {max(orders)}"
+            raise InputError(f"force_controller: denominators of degree {degrees}; {mend}")
         order = orders.pop()
         # transposed direct form II on the vector (w, e), w the order * n delays:
         # u = b0 e + w[0],  w' = shift(w) + b e - a u; with that u put in, in one matrix
@@ -280,14 +275,11 @@ class ForceController:
             try:
                 from_drive = np.ascontiguousarray(from_drive @ np.linalg.inv(gain))
             except np.linalg.LinAlgError:
-                raise InputError(
-                    f"force_controller: gain {gain.tolist()} is singular: a valve or a "
-                    "combination of valves would never be driven"
-                ) from None
-        transposed = np.ascontiguousarray(matrix.T)
-        self.parameters = TransferParameters(
-            transposed, from_drive, float(voltage_limit), bool(feedback)
-        )
+                why = "a valve or a combination of valves would never be driven"
+                text = f"force_controller: gain {gain.tolist()} is singular: {why}"
+                raise InputError(text) from None
+        transposed, limit = np.ascontiguousarray(matrix.T), float(voltage_limit)
+        self.parameters = TransferParameters(transposed, from_drive, limit, bool(feedback))
         self.state = zeros(TransferState, {"size": size})
         self._axes, self.limited = axes, False
         points, measured = np.zeros((1, 1, axes)), np.zeros((4, axes))
@@ -302,13 +294,10 @@ class ForceController:
         own = (rig or RigAxes.whole(axes)).places
         gain = as_matrix(section["gain"], axes, "force_controller: gain")
         if np.delete(gain[list(own)], own, axis=1).any():
-            raise InputError(
-                f"force_controller: gain {gain.tolist()} mixes axes of different rigs, whose force "
-                "controllers do not know each other's forces"
-            )
-        numerators, denominators = (
-            _polynomials(section, name, axes) for name in ("numerator", "denominator")
-        )
+            why = "axes of different rigs, whose force controllers do not know each other's forces"
+            raise InputError(f"force_controller: gain {gain.tolist()} mixes {why}")
+        numerators = _polynomials(section, "numerator", axes)
+        denominators = _polynomials(section, "denominator", axes)
         controllers = [(numerators[place], denominators[place]) for place in own]
         limits = command_limit(section), timebase.dt, section["feedback"]
         return cls(controllers, *limits, gain[np.ix_(own, own)])
@@ -321,9 +310,8 @@ class ForceController:
         """Give its matrices; the states are the delays."""
         n, matrix = self._axes, self.parameters.matrix.T
         by_delays, by_error = matrix[:, :-n], matrix[:, -n:]
-        return LinearControl.of_error(
-            by_delays[n:], by_error[n:], by_delays[:n], by_error[:n], self.parameters.feedback
-        )
+        (c, a), (d, b) = np.split(by_delays, [n]), np.split(by_error, [n])
+        return LinearControl.of_error(a, b, c, d, self.parameters.feedback)
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """See `seft_ros.force_controller.force_control.ForceControl.step`."""
@@ -340,9 +328,9 @@ def _polynomials(section: Section, name: str, axes: Sequence[str]) -> list[list[
         return [coefficients] * len(axes)
     each, remainder = divmod(len(coefficients), len(axes))
     if remainder:
+        many = f"{len(coefficients)} coefficients for {len(axes)} axes {list(axes)}"
         raise InputError(
-            f"force_controller: per_axis, but {name} has {len(coefficients)} coefficients for "
-            f"{len(axes)} axes {list(axes)}; give each axis as many"
+            f"force_controller: per_axis, but {name} has {many}; give each axis as many"
         )
     return [coefficients[each * axis : each * (axis + 1)] for axis in range(len(axes))]
 
@@ -352,10 +340,9 @@ def horizon_of(section: dict[str, Any], dt: float, needed: int, driven: str) -> 
     horizon = horizon_steps(section, dt)
     if horizon < needed:
         needs = needed * dt - HORIZON_PER_LAG * common_lag(section)
-        raise InputError(
-            f"reference_force: compensation.horizon is {section['compensation.horizon']:g} s, "
-            f"but the {driven} need {needs:.3g} s of the future motion; make it longer"
-        )
+        why = f"but the {driven} need {needs:.3g} s of the future motion; make it longer"
+        horizon_s = section["compensation.horizon"]
+        raise InputError(f"reference_force: compensation.horizon is {horizon_s:g} s, {why}")
     return horizon
 
 
@@ -459,9 +446,8 @@ class TargetFollower:
         known = points[: len(self._points)]
         self._points[: len(known)], self._points[len(known) :] = known, known[-1]
         self._measured[:] = state
-        self.limited = self._step(
-            self.parameters, self.state, self._points, self._measured, self._command
-        )
+        both = self.parameters, self.state
+        self.limited = self._step(*both, self._points, self._measured, self._command)
         return self._command.copy()
 
     def stop(self, plan: Floats) -> Floats:

@@ -17,15 +17,9 @@ from seft_plant_sim.judge.known_rig import fastest_command
 from seft_plant_sim.limits import beyond_limit, event_ring, is_exceeded
 from seft_plant_sim.simulated.rig_step import left_open
 
+from seft_ros.force_controller import target_distance
 from seft_ros.force_controller.force_control import ForceControl, as_sample
 from seft_ros.force_controller.methods import force_control
-from seft_ros.force_controller.target_distance import (
-    TrackingParameters,
-    TrackingState,
-    begin_tracking,
-    off_target,
-    tracking_detector,
-)
 from seft_ros.protection.protected_force import extrapolate, implausible_force
 
 TRIP, STEP, SATURATED, AXIS = range(4)
@@ -70,7 +64,7 @@ class InterlockParameters(NamedTuple):
     has_valve: bool
     dt: float
     fastest: float
-    tracking: TrackingParameters
+    tracking: target_distance.TrackingParameters
 
 
 class InterlockState(NamedTuple):
@@ -84,7 +78,7 @@ class InterlockState(NamedTuple):
     drive: Annotated[Floats, "n"]  # the last fault-free command, V
     plan: Annotated[Floats, "points", "quantities", "n"]  # points for the controller
     sample: Annotated[Floats, 4, "n"]  # for the controller
-    tracking: TrackingState  # of the distance to the target
+    tracking: target_distance.TrackingState  # of the distance to the target
 
 
 @compiled
@@ -135,8 +129,9 @@ def precheck(
         for i in range(n):
             fits &= abs(points[0, last, i]) <= parameters.largest
         if fits and has_target:  # a controller of forces reads them alone
-            target = points[0, 0]
-            away = off_target(parameters.tracking, state.tracking, step, target, measured)
+            away = target_distance.off_target(
+                parameters.tracking, state.tracking, step, points[0, 0], measured
+            )
         if not fits or away >= 0:
             trip(state, OFF_TARGET if fits else IMPLAUSIBLE, step)
             state.flags[AXIS] = away
@@ -181,11 +176,7 @@ def follow_plan(state: InterlockState, dt: float) -> None:
 
 @compiled
 def postcheck(
-    parameters: InterlockParameters,
-    state: InterlockState,
-    step: int,
-    limited: bool,
-    command: Floats,
+    p: InterlockParameters, state: InterlockState, step: int, limited: bool, command: Floats
 ) -> None:
     """Check the command of a controller, and whether it is limited; trip if it is not finite.
 
@@ -193,17 +184,17 @@ def postcheck(
     """
     for i in range(len(command)):
         change = abs(command[i] - state.drive[i]) if step > 0 else 0.0
-        if not np.isfinite(command[i]) or change > parameters.fastest:
+        if not np.isfinite(command[i]) or change > p.fastest:
             trip(state, IMPLAUSIBLE_COMMAND, step)
-    if limited and parameters.has_valve and state.flags[TRIP] == NO_TRIP:
-        if is_exceeded(state.saturated, state.flags[SATURATED], step, parameters.window):
+    if limited and p.has_valve and state.flags[TRIP] == NO_TRIP:
+        if is_exceeded(state.saturated, state.flags[SATURATED], step, p.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
     if state.flags[TRIP] == NO_TRIP:
         copy(len(command), command, state.drive)
     else:
         copy(len(command), command, state.odd)
-        begin_stop(parameters, state, command)
+        begin_stop(p, state, command)
 
 
 @compiled
@@ -269,7 +260,7 @@ class Interlock:
         close_time: float,
         limits: Sequence[float],
         has_valve: bool,
-        tracking: tuple[TrackingParameters, TrackingState],
+        tracking: tuple[target_distance.TrackingParameters, target_distance.TrackingState],
         dt: float,
         fastest: float = math.inf,
     ) -> None:
@@ -281,16 +272,9 @@ class Interlock:
             left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)] + [0.0]
         self._closing = np.array(left)  # of the last drive, step by step
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
+        has_stop, of_rig = hasattr(controller, "stop"), (np.array(limits), has_valve, dt, fastest)
         self.parameters = InterlockParameters(
-            float(largest_force),
-            window,
-            closing,
-            hasattr(controller, "stop"),
-            np.array(limits),
-            has_valve,
-            dt,
-            fastest,
-            tracking[0],
+            float(largest_force), window, closing, has_stop, *of_rig, tracking[0]
         )
         points, quantities = controller.shape
         sizes = {"n": n, "points": points, "quantities": quantities}
@@ -330,7 +314,7 @@ class Interlock:
         own = rig or RigAxes.whole(axes)
         names = ("limits.force", "watchdog.saturation_time", "safe.close_time")
         has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-        tracking = tracking_detector(section, axes, own.places, timebase.dt)
+        tracking = target_distance.tracking_detector(section, axes, own.places, timebase.dt)
         force, saturation, closing = (section[name] for name in names)
         if section["actuator.kind"] == POSITION_SERVO:
             closing = math.inf
@@ -364,7 +348,7 @@ class Interlock:
         """Begin a new test; also after a trip."""
         self.controller.reset()
         clear(self.state)
-        begin_tracking(self.state.tracking)
+        target_distance.begin_tracking(self.state.tracking)
         self._outside, self._stopping = "", np.zeros((0, len(self._axes)))
 
     def look(self, index: int, measured: Floats) -> None:
@@ -441,10 +425,8 @@ class Interlock:
             for name, value in zip(self._axes, state.odd.tolist(), strict=True):
                 if not math.isfinite(value):
                     return f"valve command on axis {name} is {value}"
-            return (
-                "the command jumps by more than /**: limits.displacement_rate allows: "
-                f"{(state.odd - state.drive).tolist()} m"
-            )
+            jump = f"{(state.odd - state.drive).tolist()} m"
+            return f"the command jumps by more than /**: limits.displacement_rate allows: {jump}"
         if code == IMPLAUSIBLE:
             return implausible_force(state.force, self._axes, self.parameters.largest)
         if code == LIMIT:
@@ -455,10 +437,8 @@ class Interlock:
             axis = int(state.flags[AXIS])
             return describe(TRACKING, state.tracking.found[:, axis], self._axes[axis])
         assert code == SATURATION
-        return (
-            f"the valve command is at its limit for more than {self._longest:g} s within one "
-            "second: the force is out of control"
-        )
+        most = f"{self._longest:g} s within one second: the force is out of control"
+        return f"the valve command is at its limit for more than {most}"
 
 
 class Interlocks:

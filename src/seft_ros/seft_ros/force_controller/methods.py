@@ -11,15 +11,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.judge.known_rig import command_limit
 
+from seft_ros.force_controller import force_controller_parameters as controllers
 from seft_ros.force_controller.force_control import ControlInputs, ForceControl, ForceController
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    POSITION_SERVO_METHOD,
-    REGISTERED_CONTROLLERS,
-    TRANSFER_FUNCTION,
-    VELOCITY_FEEDFORWARD,
-    fitting_method,
-)
 from seft_ros.force_controller.position_servo import PositionServo
 from seft_ros.force_controller.velocity_feedforward import VelocityFeedforward
 from seft_ros.reference_force.compensator import RegisteredPart
@@ -96,20 +89,17 @@ def force_control(
         If it can't be made, or mixes axes of several rigs.
     """
     own = rig or RigAxes.whole(axes)
-    name, fitting = section["method"], fitting_method(section)
-    if name in FOLLOW_TARGETS and name != fitting:
-        raise InputError(
-            f"force_controller: method {name} does not drive an actuator of kind "
-            f"{section['actuator.kind']}; make that {fitting}"
-        )
-    if name == TRANSFER_FUNCTION:
+    name, fitting = section["method"], controllers.fitting_method(section)
+    if name in controllers.FOLLOW_TARGETS and name != fitting:
+        kind = f"an actuator of kind {section['actuator.kind']}; make that {fitting}"
+        raise InputError(f"force_controller: method {name} does not drive {kind}")
+    if name == controllers.TRANSFER_FUNCTION:
         return ForceController.from_parameters(section, axes, timebase, own)
-    if name == VELOCITY_FEEDFORWARD:
+    if name == controllers.VELOCITY_FEEDFORWARD:
         return VelocityFeedforward(section, axes, timebase, own)
-    if name == POSITION_SERVO_METHOD:
+    if name == controllers.POSITION_SERVO_METHOD:
         return PositionServo(section, axes, timebase, own)
     inputs = ControlInputs(len(own.axes), timebase.dt, command_limit(section))
-    make = partial(
-        REGISTERED_CONTROLLERS.make, name, section["settings"], "force_controller: method", inputs
-    )
+    known, where = controllers.REGISTERED_CONTROLLERS, "force_controller: method"
+    make = partial(known.make, name, section["settings"], where, inputs)
     return RegisteredControl(make, name, inputs)

@@ -179,9 +179,8 @@ def _sampled(
     under way of each axis, the newest first.
     """
     n, one = len(valves), np.eye(len(valves))
-    natural, damping = (
-        np.array([getattr(v, name) for v in valves]) for name in ("natural", "damping")
-    )
+    natural = np.array([valve.natural for valve in valves])
+    damping = np.array([valve.damping for valve in valves])
     x, v, c, flow, rate = (slice(k * n, k * n + n) for k in range(5))
     a, b = np.zeros((5 * n, 5 * n)), np.zeros((5 * n, n))
     a[x, v] = a[flow, rate] = a[c, flow] = one

@@ -23,24 +23,14 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first
+from seft_plant_sim.judge import valve_following
 from seft_plant_sim.judge.known_rig import command_limit, known_responses, read_specimen
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
-from seft_plant_sim.judge.valve_following import (
-    LARGEST_DELAY_ERROR,
-    LARGEST_GAIN_ERROR,
-    UNCERTAIN_DELAY,
-    UNCERTAIN_GAIN,
-    correct_errors,
-)
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
-from seft_ros.force_controller.force_control import (
-    DELAY_ERROR,
-    GAIN_ERROR,
-    TargetFollower,
-    horizon_of,
-)
+from seft_ros.force_controller import force_control
+from seft_ros.force_controller.force_control import DELAY_ERROR, GAIN_ERROR, TargetFollower
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
 from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
@@ -112,17 +102,13 @@ class ServoState(NamedTuple):
 
 @compiled
 def servo_step(
-    parameters: ServoParameters,
-    state: ServoState,
-    points: Floats,
-    measured: Floats,
-    command: Floats,
+    p: ServoParameters, state: ServoState, points: Floats, measured: Floats, command: Floats
 ) -> bool:
     """Find the commands that answer a sample.
 
     Parameters
     ----------
-    parameters, state
+    p, state
         The state is updated.
     points : ndarray
         Displacement, velocity and force of the target at this step and the future ones, shape
@@ -137,7 +123,6 @@ def servo_step(
     bool
         Whether one of them is at its limit.
     """
-    p = parameters
     for i in range(len(command)):
         if state.steps[0] == 0.0:
             _rest_at(p, state, i, points[0, 0, i])
@@ -211,18 +196,17 @@ def _follow(p: ServoParameters, state: ServoState, i: int, x: float) -> None:
     part = p.late[i] - whole
     newer = past[whole - 1] if whole > 0 else past[0]
     y = past[whole] + part * (past[whole + 1] - past[whole])
-    rate = ((1.0 - part) * (newer - past[whole + 1]) + part * (past[whole] - past[whole + 2])) / (
-        2.0 * p.dt
-    )
+    rate = (1.0 - part) * (newer - past[whole + 1]) + part * (past[whole] - past[whole + 2])
+    rate /= 2.0 * p.dt
     regressor[GAIN_ERROR], regressor[DELAY_ERROR], regressor[OFFSET] = y, -rate, 1.0
     variance = p.noise[i] ** 2 + (_UNDESCRIBED * abs(y) + _UNDESCRIBED_TIME * abs(rate)) ** 2
     variance *= max(1.0, _CORRELATION_TIME / p.dt)
-    covariance[GAIN_ERROR, GAIN_ERROR] += (_DRIFT * UNCERTAIN_GAIN) ** 2 * p.dt
-    covariance[DELAY_ERROR, DELAY_ERROR] += (_DRIFT * UNCERTAIN_DELAY) ** 2 * p.dt
+    covariance[GAIN_ERROR, GAIN_ERROR] += (_DRIFT * valve_following.UNCERTAIN_GAIN) ** 2 * p.dt
+    covariance[DELAY_ERROR, DELAY_ERROR] += (_DRIFT * valve_following.UNCERTAIN_DELAY) ** 2 * p.dt
     covariance[OFFSET, OFFSET] += (p.rate[i] * p.dt) ** 2 * variance
-    correct_errors(errors, covariance, regressor, x - y, variance, work)
-    errors[GAIN_ERROR] = bounded(errors[GAIN_ERROR], LARGEST_GAIN_ERROR)
-    errors[DELAY_ERROR] = bounded(errors[DELAY_ERROR], LARGEST_DELAY_ERROR)
+    valve_following.correct_errors(errors, covariance, regressor, x - y, variance, work)
+    errors[GAIN_ERROR] = bounded(errors[GAIN_ERROR], valve_following.LARGEST_GAIN_ERROR)
+    errors[DELAY_ERROR] = bounded(errors[DELAY_ERROR], valve_following.LARGEST_DELAY_ERROR)
 
 
 @compiled
@@ -281,7 +265,7 @@ class PositionServo(TargetFollower):
 
     method = POSITION_SERVO_METHOD
     names = "gain_error", "delay_error", "displacement_error"
-    uncertain = UNCERTAIN_GAIN, UNCERTAIN_DELAY, 0.0
+    uncertain = valve_following.UNCERTAIN_GAIN, valve_following.UNCERTAIN_DELAY, 0.0
 
     def __init__(
         self,
@@ -296,8 +280,8 @@ class PositionServo(TargetFollower):
         servos = [InvertedServo(*each, dt) for each in zip(models, responses, strict=True)]
         n, taps = len(servos), max(servo.taps for servo in servos)
         late = np.array([(each.dead_time + lag) / dt + 1.0 for each in responses])
-        needed = int(np.ceil(late.max() + LARGEST_DELAY_ERROR / dt)) + taps + 2
-        horizon = horizon_of(section, dt, needed, "servos")
+        needed = int(np.ceil(late.max() + valve_following.LARGEST_DELAY_ERROR / dt)) + taps + 2
+        horizon = force_control.horizon_of(section, dt, needed, "servos")
         delay = np.array([servo.model.delay for servo in servos]) + late * dt + dt / 2
         parameters = ServoParameters(
             dt=dt,

@@ -78,10 +78,9 @@ class NewestPreview:
         loop_delay, timeout = section["loop_delay"], section["watchdog.reference_timeout"]
         self._patience = round(timeout * timebase.rate)
         if self._patience <= loop_delay:
-            raise InputError(
-                f"force_controller: watchdog.reference_timeout is {timeout:g} s, but the loop's "
-                f"own delay is {loop_delay * timebase.dt:g} s (loop_delay); make it longer"
-            )
+            delay = f"the loop's own delay is {loop_delay * timebase.dt:g} s (loop_delay)"
+            most = f"watchdog.reference_timeout is {timeout:g} s"
+            raise InputError(f"force_controller: {most}, but {delay}; make it longer")
         self._axes, self._loop_delay, self._dt = axes, max(loop_delay, 0), timebase.dt
         self._ramp = RampDown.lasting(section["ramp_down_time"], timebase.dt)
         self.reset()
@@ -120,10 +119,8 @@ class NewestPreview:
             If a newer one has arrived before.
         """
         if step <= self.newest:
-            raise WireError(
-                f"{REFERENCE_FORCE.name} of step {step} after that of step {self.newest}: repeated "
-                "or out of order"
-            )
+            after = f"after that of step {self.newest}: repeated or out of order"
+            raise WireError(f"{REFERENCE_FORCE.name} of step {step} {after}")
         self.newest = step
         self._messages.add(step, points)
 

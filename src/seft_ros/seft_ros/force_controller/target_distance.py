@@ -9,15 +9,8 @@ from seft_msgs_py.arrays import Floats, Ints, clear, zeros
 from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_plant_sim.channels import per_channel, velocity_is_derived
 from seft_plant_sim.compiled import compiled
+from seft_plant_sim.judge import detectors
 from seft_plant_sim.judge.detector_list import TRACKING
-from seft_plant_sim.judge.detectors import (
-    MOTION_MEMORY,
-    assumed_noise,
-    fade_of_sums,
-    noise_of_sums,
-    persistence_of,
-    warning_detectors,
-)
 from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.judge.judge import BIAS
 from seft_plant_sim.judge.judge_step import LONG_AGO
@@ -83,15 +76,11 @@ def tracking_arrays(
         Sampling period, s.
     """
     (x, v, _, _), n = noise, noise.shape[1]
-    bias = BIAS * v * dt / (1.0 - fade_of_sums(dt))
-    parameters = TrackingParameters(
-        NOISE_SIGMAS * noise_of_sums(x, dt * v, dt) + bias,
-        math.exp(-dt / MOTION_MEMORY),
-        limit,
-        math.ceil(_LIMITED / dt),
-        persistence_of(TRACKING, dt),
-        acts,
-    )
+    bias = BIAS * v * dt / (1.0 - detectors.fade_of_sums(dt))
+    doubt = NOISE_SIGMAS * detectors.noise_of_sums(x, dt * v, dt) + bias
+    memory, limited = math.exp(-dt / detectors.MOTION_MEMORY), math.ceil(_LIMITED / dt)
+    persistence = detectors.persistence_of(TRACKING, dt)
+    parameters = TrackingParameters(doubt, memory, limit, limited, persistence, acts)
     return parameters, zeros(TrackingState, {"n": n})
 
 
@@ -164,7 +153,8 @@ def tracking_detector(
     """
     noise = per_channel(section, axes, "sensors.{}_noise")[:, list(places)]
     limits = np.array([section[f"limits.{name}"] for name in CHANNELS])
-    noise = assumed_noise(noise, limits, velocity_is_derived(section), dt)
+    noise = detectors.assumed_noise(noise, limits, velocity_is_derived(section), dt)
     has_valve = section["actuator.kind"] not in FORCE_DRIVEN
     limit = command_limit(section) if has_valve else math.inf
-    return tracking_arrays(noise, limit, TRACKING.name not in warning_detectors(section), dt)
+    acts = TRACKING.name not in detectors.warning_detectors(section)
+    return tracking_arrays(noise, limit, acts, dt)

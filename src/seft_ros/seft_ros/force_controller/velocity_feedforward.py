@@ -21,24 +21,13 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first, smooth_sign
+from seft_plant_sim.judge import valve_following
 from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
-from seft_plant_sim.judge.valve_following import (
-    UNCERTAIN_VALVE,
-    VALVE_ERRORS,
-    doubt,
-    follow_valve,
-    under_load,
-)
+from seft_plant_sim.judge.valve_following import VALVE_ERRORS, follow_valve, under_load
 from seft_plant_sim.judge.valve_model import valve_models
 
-from seft_ros.force_controller.force_control import (
-    DELAY_ERROR,
-    GAIN_ERROR,
-    TargetFollower,
-    as_sample,
-    horizon_of,
-    planned_acceleration,
-)
+from seft_ros.force_controller import force_control
+from seft_ros.force_controller.force_control import DELAY_ERROR, GAIN_ERROR, TargetFollower
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
 from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
@@ -192,7 +181,8 @@ def _flow_by(
     known, feedback, planned = state.flows.shape[1], p.feedback[i], p.planned[i, k]
     flow = feedback[0, k] * (points[0, 0, k] - state.measured[0, k])
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
-    flow += feedback[2, k] * (planned_acceleration(points, k, p.dt) - state.measured[2, k])
+    wanted = force_control.planned_acceleration(points, k, p.dt)
+    flow += feedback[2, k] * (wanted - state.measured[2, k])
     flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
     flow += dot(state.coming.shape[1], planned[known:], state.coming[k])
     flow += dot(known, planned, state.flows[k])
@@ -244,7 +234,7 @@ def feedforward_stop(
     path_to_rest(stop, plan, path)
     for j in range(len(commands)):
         points = path[j + 1 :]
-        as_sample(points, parameters.dt, state.sample)
+        force_control.as_sample(points, parameters.dt, state.sample)
         feedforward_step(parameters, state, points, state.sample, commands[j])
 
 
@@ -278,7 +268,7 @@ class VelocityFeedforward(TargetFollower):
 
     method = VELOCITY_FEEDFORWARD
     names = "flow_gain_error", "delay_error", "oil_compliance_error"
-    uncertain = UNCERTAIN_VALVE
+    uncertain = valve_following.UNCERTAIN_VALVE
 
     def __init__(
         self,
@@ -293,7 +283,7 @@ class VelocityFeedforward(TargetFollower):
         noise = sensor_noise(section, axes)[:, own]
         valves = valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
-        horizon = horizon_of(section, dt, needed + 1, "valves")
+        horizon = force_control.horizon_of(section, dt, needed + 1, "valves")
         memory, past = valves[0].memory, max(valve.past() for valve in valves)
         inverse = np.array([valve.inverse(needed, past) for valve in valves])
         mass, stiffness = read_specimen(section, axes, own)
@@ -317,7 +307,7 @@ class VelocityFeedforward(TargetFollower):
             sent=sent,
             planned=planned,
             past=np.array([valve.last_period() for valve in valves]),
-            doubt=doubt(left[1], noise[3], actuator[:, 1], delay, dt),
+            doubt=valve_following.doubt(left[1], noise[3], actuator[:, 1], delay, dt),
             smoothing=1.0 - np.exp(-dt / delay),
         )
         sizes = {"n": n, "memory": memory, "known": known_flows}

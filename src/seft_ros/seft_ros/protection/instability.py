@@ -176,10 +176,8 @@ class InstabilityWatch:
         n, dt = len(axes), known.dt
         self._axes = tuple(axes)
         if lowest >= 0.45 / dt:
-            raise InputError(
-                f"reference_force: instability.lowest {lowest:g} Hz is beyond what is sampled at "
-                f"{1 / dt:g} Hz; take less than {0.45 / dt:g} Hz"
-            )
+            why = f"beyond what is sampled at {1 / dt:g} Hz; take less than {0.45 / dt:g} Hz"
+            raise InputError(f"reference_force: instability.lowest {lowest:g} Hz is {why}")
         self._lowest = lowest or min(ABOVE * _natural_hz(known), 0.25 / dt)
         self.parameters = WatchParameters(
             product=_acceleration(known),
@@ -198,11 +196,10 @@ class InstabilityWatch:
         _, measured, expected, _ = self.state.squares
         axis = int((measured / expected).argmax())
         rms, over = math.sqrt(measured[axis]), math.sqrt(measured[axis] / expected[axis])
-        return (
-            f"instability: acceleration above {self._lowest:.3g} Hz on axis {self._axes[axis]} is "
-            f"{rms:.3g} m/s^2 RMS, {over:.3g} times that of the structure "
-            f"under the measured restoring force (limit {self.parameters.ratio:g})"
-        )
+        where = f"{self._lowest:.3g} Hz on axis {self._axes[axis]}"
+        size = f"{rms:.3g} m/s^2 RMS, {over:.3g} times that of the structure"
+        most = f"under the measured restoring force (limit {self.parameters.ratio:g})"
+        return f"instability: acceleration above {where} is {size} {most}"
 
 
 def _natural_hz(known: MethodInputs) -> float:

@@ -16,12 +16,7 @@ from seft_plant_sim.compiled import compiled, entry_point, is_finite, kind_of
 from seft_plant_sim.limits import beyond_limit, largest_force_rate, span_steps
 from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.protection.instability import (
-    InstabilityWatch,
-    WatchParameters,
-    WatchState,
-    watch_step,
-)
+from seft_ros.protection import instability
 from seft_ros.reference_force.compensator import has_computed_model
 from seft_ros.reference_force.reference_force_block import ReferenceForce, method_inputs
 
@@ -200,10 +195,10 @@ class PlausibleForce:
         """Say what is wrong with a force that is not plausible, shape (n,), after the last ones."""
         change = force - self.recent[0]
         axis = int(np.abs(change).argmax())
-        return implausible_force(force, self.axes, self.limits[0]) or (
-            f"reference force changes by {change[axis] / self._span:.5g} N/s on axis "
-            f"{self.axes[axis]}, beyond the limit of {self._fastest:g} N/s"
-        )
+        most = f"beyond the limit of {self._fastest:g} N/s"
+        fast = f"{change[axis] / self._span:.5g} N/s on axis {self.axes[axis]}, {most}"
+        large = implausible_force(force, self.axes, self.limits[0])
+        return large or f"reference force changes by {fast}"
 
 
 def implausible_force(force: Floats, axes: Sequence[str], largest: float) -> str:
@@ -253,7 +248,7 @@ class ProtectionParameters(NamedTuple):
     ramp_steps: int
     provides_target: bool
     dt: float
-    watch: WatchParameters
+    watch: instability.WatchParameters
 
 
 class ProtectionState(NamedTuple):
@@ -266,7 +261,7 @@ class ProtectionState(NamedTuple):
     progress: Annotated[Floats, 1]  # pace of a target at that point; 1 at the beginning
     implausible_force: Annotated[Floats, "n"]  # force of the step of the fault, N
     implausible_state: Annotated[Floats, 4, "n"]  # its measured state
-    watch: WatchState  # of the instability watch
+    watch: instability.WatchState  # of the instability watch
 
 
 @compiled
@@ -319,7 +314,7 @@ def protect(
         if cause == NOTHING and is_known:
             if not is_finite(measured, 0):
                 cause = IMPLAUSIBLE_STATE
-            elif p.watch.ratio and watch_step(p.watch, state.watch, ground, measured):
+            elif p.watch.ratio and instability.watch_step(p.watch, state.watch, ground, measured):
                 cause = INSTABILITY
         if cause != NOTHING:
             flags[CAUSE] = cause
@@ -394,7 +389,7 @@ class ProtectedForce:
         self,
         reference_force: ReferenceForce,
         plausible: PlausibleForce,
-        watch: InstabilityWatch,
+        watch: instability.InstabilityWatch,
         ramp: RampDown,
         loop_delay: int = 0,
     ) -> None:
@@ -407,9 +402,8 @@ class ProtectedForce:
         if loop_delay and not provides_target:
             self._settled = deque(maxlen=1 + loop_delay)
         self._points = np.zeros((*reference_force.shape, self._axes))
-        self.parameters = ProtectionParameters(
-            plausible.limits, ramp.steps, provides_target, plausible.dt, watch.parameters
-        )
+        of_force = plausible.limits, ramp.steps, provides_target, plausible.dt
+        self.parameters = ProtectionParameters(*of_force, watch.parameters)
         sizes = {"quantities": reference_force.shape[1], "n": self._axes}
         given = {"ramp": ramp.state, "recent": plausible.recent, "watch": watch.state}
         self.state = zeros(ProtectionState, sizes, **given)
@@ -436,7 +430,7 @@ class ProtectedForce:
         return cls(
             ReferenceForce.from_parameters(section, axes, timebase),
             PlausibleForce(section["limits.force"], fastest, axes, timebase.dt),
-            InstabilityWatch(known, axes, **watch),
+            instability.InstabilityWatch(known, axes, **watch),
             RampDown.lasting(section["ramp_down_time"], timebase.dt, section["loop_delay"]),
             section["loop_delay"],
         )
@@ -510,9 +504,8 @@ class ProtectedForce:
     def _answer(self, ground_motion: Floats | None, state: Floats) -> Floats:
         both, is_known = (self.parameters, self.state), ground_motion is not None
         progress = self._begin_step(*both, is_known)
-        motion = (
-            np.zeros((1 + self.preview, self._axes)) if ground_motion is None else ground_motion
-        )
+        none = np.zeros((1 + self.preview, self._axes))
+        motion = none if ground_motion is None else ground_motion
         if not self.state.flags[HOLDING]:
             self._points[:] = self.reference_force.step(motion, state, progress)
         ground, state = (np.ascontiguousarray(each, np.float64) for each in (motion[0], state))

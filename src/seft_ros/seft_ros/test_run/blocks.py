@@ -13,11 +13,7 @@ from seft_plant_sim.calibration import check_biases
 from seft_plant_sim.rig import Rig, Rigs
 from seft_plant_sim.simulated.faults import check_times
 
-from seft_ros.force_controller.force_controller_parameters import (
-    FOLLOW_TARGETS,
-    TRANSFER_FUNCTION,
-    fitting_method,
-)
+from seft_ros.force_controller import force_controller_parameters as controllers
 from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 from seft_ros.protection.protected_force import ProtectedForce
@@ -100,17 +96,16 @@ def check_target(experiment: Experiment, blocks: Blocks) -> None:
     method = experiment["force_controller"]["method"]
     compensation = experiment["reference_force"]["compensation.method"]
     has_target = blocks.reference_force.reference_force.provides_target
-    fitting = fitting_method(experiment["force_controller"])
-    if method in FOLLOW_TARGETS and not has_target:
-        raise InputError(
-            f"force_controller: method {method} follows the motion of a target, but "
-            f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
-        )
-    if method == TRANSFER_FUNCTION and has_target and blocks.rig.drive == VALVE_COMMAND.name:
-        raise InputError(
-            f"reference_force: compensation.method {compensation} gives the motion of a target, "
-            f"which force_controller: method {method} does not follow; make that {fitting}"
-        )
+    fitting = controllers.fitting_method(experiment["force_controller"])
+    controller = f"force_controller: method {method}"
+    if method in controllers.FOLLOW_TARGETS and not has_target:
+        other = f"reference_force: compensation.method is {compensation}; make that {TARGET_MOTION}"
+        raise InputError(f"{controller} follows the motion of a target, but {other}")
+    drives_valve = blocks.rig.drive == VALVE_COMMAND.name
+    if method == controllers.TRANSFER_FUNCTION and has_target and drives_valve:
+        gives = f"compensation.method {compensation} gives the motion of a target"
+        mend = f"which {controller} does not follow; make that {fitting}"
+        raise InputError(f"reference_force: {gives}, {mend}")
 
 
 def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedForce) -> None:
@@ -123,11 +118,9 @@ def check_lead(experiment: Experiment, motion: GroundMotion, force: ProtectedFor
     """
     preview = force.preview
     if preview > len(motion.known) - motion.steps:
-        raise InputError(
-            f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s, but the "
-            f"compensation looks {preview * experiment.timebase.dt:g} s ahead; make "
-            "the lead longer"
-        )
+        lead = f"ground_motion: lead is {experiment['ground_motion']['lead']:g} s"
+        needed = f"{preview * experiment.timebase.dt:g} s ahead; make the lead longer"
+        raise InputError(f"{lead}, but the compensation looks {needed}")
 
 
 def with_method(experiment: Experiment, method: str) -> Experiment:
@@ -139,9 +132,9 @@ def with_method(experiment: Experiment, method: str) -> Experiment:
     control = experiment["force_controller"]
     used = control["method"]
     if method == TARGET_MOTION and control["actuator.kind"] not in FORCE_DRIVEN:
-        used = fitting_method(control)
-    elif used in FOLLOW_TARGETS:
-        used = TRANSFER_FUNCTION
+        used = controllers.fitting_method(control)
+    elif used in controllers.FOLLOW_TARGETS:
+        used = controllers.TRANSFER_FUNCTION
     return experiment.changed(
         {"reference_force": {"compensation.method": method}, "force_controller": {"method": used}}
     )

@@ -17,35 +17,13 @@ from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_plant_sim.simulated.rig_step import FORCE_NOW, RigParameters, RigState, rig_step
 from seft_plant_sim.simulated.sensors import BLOCK
 
-from seft_ros.force_controller.force_control import (
-    ForceController,
-    TransferParameters,
-    transfer_step,
-)
-from seft_ros.force_controller.interlock import (
-    NO_TRIP,
-    TRIP,
-    Interlock,
-    InterlockParameters,
-    InterlockState,
-    check_limits,
-    postcheck,
-    precheck,
-)
+from seft_ros.force_controller import force_control, velocity_feedforward
+from seft_ros.force_controller import interlock as force_interlock
+from seft_ros.force_controller.force_control import ForceController, TransferParameters
+from seft_ros.force_controller.interlock import Interlock, InterlockParameters, InterlockState
 from seft_ros.force_controller.position_servo import PositionServo, ServoParameters, servo_step
-from seft_ros.force_controller.velocity_feedforward import (
-    FeedforwardParameters,
-    VelocityFeedforward,
-    feedforward_step,
-)
-from seft_ros.protection.protected_force import (
-    HOLDING,
-    TAKEN,
-    ProtectionParameters,
-    ProtectionState,
-    begin_step,
-    protect,
-)
+from seft_ros.protection import protected_force
+from seft_ros.protection.protected_force import ProtectionParameters, ProtectionState, protect
 from seft_ros.reference_force.compensator import LinearCompensator, LinearParameters, linear_step
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.reference_force.target_step import TargetParameters, target_estimates, target_step
@@ -68,7 +46,7 @@ def why_not_compiled(blocks: Blocks) -> str:
     if "step" in vars(method):
         return "the compensation has a step of its own"
     controller = type(blocks.force_controller.controller)
-    if controller not in (ForceController, VelocityFeedforward, PositionServo):
+    if controller not in (ForceController, velocity_feedforward.VelocityFeedforward, PositionServo):
         return "a force controller of another package"
     if controller is not ForceController and type(method) is not TargetMotion:
         return "a controller that follows a target without target_motion"
@@ -98,8 +76,8 @@ respond = _by_parameters({LinearParameters: linear_step, TargetParameters: targe
 """Step of a compensation method: of parameters, state, ground, measured, progress and points."""
 answer = _by_parameters(
     {
-        TransferParameters: transfer_step,
-        FeedforwardParameters: feedforward_step,
+        TransferParameters: force_control.transfer_step,
+        velocity_feedforward.FeedforwardParameters: velocity_feedforward.feedforward_step,
         ServoParameters: servo_step,
     }
 )
@@ -180,21 +158,12 @@ def _arguments(
     if quantities > 1:  # a controller keeps no more of the future motion
         points = min(points, loop_delay + control.shape[0])
     n = samples.commands.shape[1]
-    loop = LoopBlocks(
-        tuple(range(n)),
-        (rig.simulation.parameters, rig.simulation.state),
-        (rig.guard.parameters, rig.guard.state),
-        (protected.parameters, protected.state),
-        (interlock.parameters, interlock.state),
-        (method.parameters, method.state),
-        (control.parameters, control.state),
-        np.zeros((1 + loop_delay, points, quantities, n)),
-        np.zeros(n),
-        rig.drive == VALVE_COMMAND.name,
-        points if quantities > 1 else 1 + protected.preview,
-        protected.ramp.whole,
-        period,
-    )
+    parts: Any = rig.simulation, rig.guard, protected, interlock, method, control
+    pairs = [(each.parameters, each.state) for each in parts]
+    in_flight = np.zeros((1 + loop_delay, points, quantities, n))
+    window = points if quantities > 1 else 1 + protected.preview
+    of_test = rig.drive == VALVE_COMMAND.name, window, protected.ramp.whole, period
+    loop = LoopBlocks._make((tuple(range(n)), *pairs, in_flight, np.zeros(n), *of_test))
     known = blocks.ground_motion.known.copy()  # of the type for which the steps are compiled
     kind = rig.kind, protected.kind, interlock.kind, kind_of((loop.axes, samples, known))
     return kind, (loop, samples, known, samples.states, 0, 0)
@@ -280,12 +249,12 @@ def _run_steps(
         saturated = rig_step(rig, rig_state, step, drive, noise[step - first], measured)
         true_forces[step] = rig_state.peaks[FORCE_NOW]
         found[step] = saturated | guard_step(guard, guard_state, step, measured, drive, state)
-        check_limits(interlock, interlock_state, step, state)
+        force_interlock.check_limits(interlock, interlock_state, step, state)
         judged = state[:4]
         # reference force
         asked = in_flight[place]
-        progress = begin_step(protection, protection_state, True)
-        if not protection_state.flags[HOLDING]:
+        progress = protected_force.begin_step(protection, protection_state, True)
+        if not protection_state.flags[protected_force.HOLDING]:
             respond(force, force_state, known[step : step + window], judged, progress, asked)
         protect(protection, protection_state, known[step], judged, True, progress, asked)
         place = place + 1 if place + 1 < turns else 0
@@ -296,18 +265,18 @@ def _run_steps(
                 forces[step, row, i] = sent[0, row, i]
         applied = late[turns - 1 if is_target else 0 :]
         # force control
-        if precheck(interlock, interlock_state, step, applied, state, command):
+        if force_interlock.precheck(interlock, interlock_state, step, applied, state, command):
             plan, sample = interlock_state.plan, interlock_state.sample
             limited = answer(control, control_state, plan, sample, command)
-            postcheck(interlock, interlock_state, step, limited, command)
+            force_interlock.postcheck(interlock, interlock_state, step, limited, command)
         if step == due:
             estimate(force, force_state, estimates[step // period])
             due += period
         for i in range(n):
             drive[i] = command[i] if is_valve_driven else applied[0, quantities - 1, i]
-        has_ended = protection_state.ramp[TAKEN] >= longest_ramp
-        is_over = found[step] & ENDS_TEST or interlock_state.flags[TRIP] != NO_TRIP
-        if has_ended or is_over:
+        has_ended = protection_state.ramp[protected_force.TAKEN] >= longest_ramp
+        has_tripped = interlock_state.flags[force_interlock.TRIP] != force_interlock.NO_TRIP
+        if has_ended or has_tripped or found[step] & ENDS_TEST:
             return step + 1
     return last
 

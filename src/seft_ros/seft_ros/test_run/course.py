@@ -103,10 +103,8 @@ class Course:
             self._trip(node, silence(node, self.statuses), self.step(), self._timeout)
         ramped_for = self.now - self._since if self.state is State.RAMPING_DOWN else 0.0
         if self.machine.state is State.RAMPING_DOWN and ramped_for > self._ramp_patience():
-            self.machine.hard_trip(
-                f"the reference force has not become zero within {self._ramp_patience():g} s",
-                self.step(),
-            )
+            why = f"the reference force has not become zero within {self._ramp_patience():g} s"
+            self.machine.hard_trip(why, self.step())
 
     def _trip(self, node: str, reason: str, step: int | None, waited: float = 0.0) -> None:
         """Trip because of a node: softly, if the loop can continue without it."""
@@ -128,9 +126,8 @@ class Course:
         A rig that was heard has still to say how the test ended.
         """
         known = [n for n in self.peers if n in self.statuses]
-        unheard = [
-            n for n in known if self.statuses[n].at < self._since or self.phase(n) == RUNNING
-        ]
+        old = {n for n in known if self.statuses[n].at < self._since}
+        unheard = [n for n in known if n in old or self.phase(n) == RUNNING]
         gone = silent(unheard, self.statuses, self.now, self._timeout)
         if unheard == gone:
             self.silent = gone
@@ -194,19 +191,16 @@ class Course:
         most, allowed = rig.number("most_missed") or 0, self._section[MISSED_SHARE]
         second = round(self._rate)
         if most / second > allowed and MISSED_SHARE not in self.machine.detail:
-            self.machine.soft_trip(
-                f"node {rig.name} missed {most} of {second} commands within a second "
-                f"({most / second:.1%}; {MISSED_SHARE} allows {allowed:.1%})",
-                max((rig.number("steps") or 0) - 1, 0),
-            )
+            share = f"({most / second:.1%}; {MISSED_SHARE} allows {allowed:.1%})"
+            why = f"node {rig.name} missed {most} of {second} commands within a second {share}"
+            self.machine.soft_trip(why, max((rig.number("steps") or 0) - 1, 0))
 
     def _finish(self, rig: Status) -> None:
         """Note that a rig has finished; trip if it has not taken all steps of the test."""
         steps = rig.number("steps") or 0
         if steps != self._steps:
-            self.machine.hard_trip(
-                f"node {rig.name} finished after {steps} of {self._steps} steps", max(steps - 1, 0)
-            )
+            why = f"node {rig.name} finished after {steps} of {self._steps} steps"
+            self.machine.hard_trip(why, max(steps - 1, 0))
         elif all(self.phase(name) == outcome.FINISHED for name in self.rig_nodes):
             self.machine.finish(f"{steps} steps done")
 

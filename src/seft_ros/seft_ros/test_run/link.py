@@ -170,22 +170,19 @@ def assess_link(trips: RoundTrips, test: Allowed | None) -> tuple[_Verdict, list
     lost, delay, bad, thin = trips.lost / trips.sent, trips.loop_delay, [], []
     if delay > _LONGEST_DELAY:
         bad.append(f"the loop would need a delay of {delay} steps, more than {_LONGEST_DELAY}")
+    share = f"{100 * lost:.3g} % of the messages were lost"
     if lost > TOO_MANY_LOST:
-        bad.append(f"{100 * lost:.3g} % of the messages were lost")
+        bad.append(share)
     elif lost > SOME_LOST:
-        thin.append(
-            f"{100 * lost:.3g} % of the messages were lost, up to {trips.longest_burst} in a row: "
-            "they are bridged, with some error"
-        )
+        row = f"up to {trips.longest_burst} in a row"
+        thin.append(f"{share}, {row}: they are bridged, with some error")
     if test is not None and test.stable is False:
         bad.append(f"mass ratio {test.mass_ratio:g} is unstable with a delay of {delay} steps")
     elif test is not None and test.unknown:
         thin.append(f"preflight could not be done: {test.unknown}")
     elif test is not None and (test.critical_mass_ratio or np.inf) < RESERVE * test.mass_ratio:
-        thin.append(
-            f"the critical mass ratio {test.critical_mass_ratio:.3g} is less than {RESERVE:g} "
-            f"times the planned {test.mass_ratio:g}"
-        )
+        least = f"{RESERVE:g} times the planned {test.mass_ratio:g}"
+        thin.append(f"the critical mass ratio {test.critical_mass_ratio:.3g} is less than {least}")
     return "unusable" if bad else "marginal" if thin else "good", [*bad, *thin]
 
 
@@ -336,9 +333,8 @@ def measure_link(
     progress("measured", count)
     counted = [(number, took) for number, took in back if number >= 0]
     if not counted:
-        raise ExperimentError(
-            f"none of {count} messages came back over the link; is a firewall between?"
-        )
+        none = f"none of {count} messages came back over the link"
+        raise ExperimentError(f"{none}; is a firewall between?")
     numbers, times = zip(*counted, strict=True)
     return RoundTrips(rate, count, np.array(times), np.array(numbers))
 

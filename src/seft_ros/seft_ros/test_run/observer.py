@@ -6,15 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from seft_msgs_py.errors import ExperimentError, InputError
+from seft_msgs_py.node import rclpy_interface
 from seft_msgs_py.node.dds import DdsEndpoint
 from seft_msgs_py.node.process import is_running
-from seft_msgs_py.node.rclpy_interface import (
-    SingleThreadedExecutor,
-    command_node,
-    leave_graph,
-    message_class,
-    qos_profile,
-)
+from seft_msgs_py.node.rclpy_interface import command_node, leave_graph, message_class, qos_profile
 from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.node.transport import AwakeClock
 from seft_msgs_py.wire import outcome
@@ -63,12 +58,10 @@ class Observer:
 
     def __init__(self, nodes: Sequence[str] = NODES) -> None:
         self._nodes = tuple(nodes)
-        self.state = ""
+        self.state = self.recorder_phase = self.recorder_bag = ""
         self.reported = ExperimentState(State.IDLE, "waiting for supervisor")
         self.ended: ExperimentState | None = None
         self.time_ns = 0
-        self.recorder_phase = ""
-        self.recorder_bag = ""
         self.running: set[str] = set()
         self.not_at_rest: dict[str, str] = {}
         self._awake = AwakeClock()
@@ -81,7 +74,7 @@ class Observer:
         self._node.create_subscription(
             message_class(CLOCK_TOPIC), CLOCK_TOPIC.name, self._on_clock, qos_profile(CLOCK_TOPIC)
         )
-        self._executor = SingleThreadedExecutor(context=self._node.context)
+        self._executor = rclpy_interface.SingleThreadedExecutor(context=self._node.context)
         self._executor.add_node(self._node)
 
     def spin(self, timeout: float) -> None:
@@ -161,17 +154,15 @@ class Observer:
             infos = self._node.get_publishers_info_by_topic(topic.name)
             if len(infos) > 1:
                 names = ", ".join(sorted(i.node_name for i in infos))
-                raise InputError(
-                    f"{len(infos)} nodes publish {topic.name} in ROS domain {self.domain} "
-                    f"({names}), and only one is this test's: end the other"
-                )
+                where = f"in ROS domain {self.domain} ({names})"
+                why = "and only one is this test's: end the other"
+                raise InputError(f"{len(infos)} nodes publish {topic.name} {where}, {why}")
 
     def _refuse(self, nodes: Sequence[str]) -> None:
         if nodes:
-            raise InputError(
-                f"ROS domain {self.domain} already has a node {', '.join(nodes)}: of another test; "
-                "end it, set another ROS_DOMAIN_ID, or use it with --external"
-            )
+            other = f"already has a node {', '.join(nodes)}: of another test"
+            mend = "end it, set another ROS_DOMAIN_ID, or use it with --external"
+            raise InputError(f"ROS domain {self.domain} {other}; {mend}")
 
     def _of_other_namespaces(self, found: Sequence[str]) -> list[str]:
         """List nodes of another test, which shares /clock with this one."""

@@ -26,13 +26,8 @@ from seft_plant_sim.rig import Rig
 from seft_plant_sim.simulated.sensors import BLOCK
 from seft_plant_sim.whole_structure import ReferenceResponse, reference_response
 
-from seft_ros.bags.recording import (
-    Estimates,
-    Recording,
-    Series,
-    describe_environment,
-    require_names,
-)
+from seft_ros.bags import recording
+from seft_ros.bags.recording import Estimates, Recording, Series, require_names
 from seft_ros.force_controller.interlock import Interlock, Interlocks
 from seft_ros.reference_force.reference_force_block import sampling_period
 from seft_ros.test_run.blocks import Blocks, build_blocks
@@ -51,10 +46,9 @@ def _check_memory(steps: int, axes: int) -> None:
     """Refuse a test that this machine has no memory for, before it is taken."""
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if (needed := _BYTES * steps * axes) > there:
-        raise InputError(
-            f"{steps} steps of {axes} axes need some {needed / 1e9:.1f} GB, and this machine has "
-            f"{there / 1e9:.1f} GB; check rate and duration"
-        )
+        has = f"this machine has {there / 1e9:.1f} GB; check rate and duration"
+        need = f"{steps} steps of {axes} axes need some {needed / 1e9:.1f} GB"
+        raise InputError(f"{need}, and {has}")
 
 
 def simulate_test(
@@ -108,7 +102,7 @@ def simulate_test(
         np.empty(total),
         np.empty((-(-total // period), len(estimated), axes)),
     )
-    environment = environment or describe_environment("simulate")
+    environment = environment or recording.describe_environment("simulate")
     parts = blocks, samples, experiment["reference_force"]["loop_delay"], period
     runs = run_compiled if _compiles(*parts, compiles) else run_plain
     loop = runs(*parts)
@@ -272,7 +266,7 @@ class BlockCache:
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
-        return describe_environment("ensemble")
+        return recording.describe_environment("ensemble")
 
     def run(self, experiment: Experiment) -> Recording:
         """Run a test, see `simulate_test`.

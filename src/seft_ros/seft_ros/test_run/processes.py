@@ -161,9 +161,8 @@ class ProcessLayout:
         return Placement(nodes, lockstep=lockstep) if helps else None
 
 
-MODULES = {node: f"seft_ros.nodes.{node}_node" for node in NODES} | {
-    "rig": "seft_plant_sim.rig_node"
-}
+MODULES = {node: f"seft_ros.nodes.{node}_node" for node in NODES}
+MODULES["rig"] = "seft_plant_sim.rig_node"
 """Module of each node, for ``python -m``: it works with and without a ROS installation."""
 COMPOSED = "seft_ros.nodes.loop_node"
 

@@ -118,9 +118,8 @@ class RunMonitor:
             self._progress(detail, 0)
             self._processes.raise_if_ended()
             for node in self._processes.stopped():
-                raise ExperimentError(
-                    f"node {node} stands still before the test (a signal stopped it)"
-                )
+                still = "stands still before the test (a signal stopped it)"
+                raise ExperimentError(f"node {node} {still}")
             if observer.state == State.READY:
                 return
             if observer.state == State.TRIPPED:

@@ -230,10 +230,8 @@ class SampleOrder:
         self._max_skew = round(MAX_SKEW_S * timebase.rate)
         self._ahead_in_lockstep = 1 + loop_delay
         self._state = ""  # of the experiment, as the supervisor reports it
-        self.last = -1
-        self.steps = 0
-        self.in_lockstep = False
-        self.may_begin = True
+        self.last, self.steps = -1, 0
+        self.in_lockstep, self.may_begin = False, True
 
     def follow(self, experiment: ExperimentState) -> None:
         """Follow the state of the experiment; a repeated one is only a heartbeat."""
