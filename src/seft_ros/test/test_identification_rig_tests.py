@@ -1,5 +1,6 @@
 """The tests of an identification as experiments, run offline."""
 
+import math
 import re
 
 import numpy as np
@@ -78,7 +79,7 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
 )
 def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, message):
     of = load("/**:limits.command:=9.0")
-    largest = LargestLevels.of(of, unit_of(of))
+    largest = LargestLevels.of(of, unit_of(of), math.inf)
     with pytest.raises(InputError, match=message):
         largest.check(levels)
 
@@ -87,7 +88,7 @@ def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, mess
 def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not(rate):
     of = load(f"rate:={rate}.0", "/**:limits.force_rate:=1e6")
     unit = unit_of(of)
-    largest = LargestLevels.of(of, unit)
+    largest = LargestLevels.of(of, unit, math.inf)
     plausible = PlausibleForce(1e9, 1e6, ("x",), of.timebase.dt)
 
     def refused(force):
@@ -116,7 +117,7 @@ def test_under_a_cap_levels_are_those_at_which_the_known_rig_reaches_it(record):
         assert 0.8 * reached < moved < 1.05 * reached
     soft = Specimen(np.eye(1) * 52.7, np.eye(1) * 800.0, np.eye(1) * 2.1e4)
     assert LargestLevels.of(of, unit, cap, soft).force[0] < 0.5 * largest.force[0]
-    assert pilot_voltage(of, largest) == pilot_voltage(of, LargestLevels.of(of, unit))
+    assert pilot_voltage(of, largest) == pilot_voltage(of, LargestLevels.of(of, unit, math.inf))
     small = LargestLevels.of(of, unit, 1e-4)
     assert pilot_voltage(of, small) == pytest.approx(0.22 * 0.1 * largest.voltage[0])
 
@@ -124,7 +125,7 @@ def test_under_a_cap_levels_are_those_at_which_the_known_rig_reaches_it(record):
 def after_pilot(of, record):
     """Voltage after a pilot, and the largest one."""
     path, unit = record(of)
-    largest = LargestLevels.of(of, unit)
+    largest = LargestLevels.of(of, unit, math.inf)
     low = pilot_voltage(of, largest)
     return voltage_after(simulated(open_loop(of, path, low)), low, largest), largest.voltage[0]
 
@@ -141,7 +142,7 @@ def shares_of(of, path, voltage):
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
     of = load("/**:actuator.kind:=servo_hydraulic_linear")
     voltage, _ = after_pilot(of, record)
-    assert voltage > 2 * pilot_voltage(of, LargestLevels.of(of, record(of)[1]))
+    assert voltage > 2 * pilot_voltage(of, LargestLevels.of(of, record(of)[1], math.inf))
     shares = shares_of(of, record(of)[0], voltage)
     assert shares[0].max() == pytest.approx(0.22, rel=0.05)
 
