@@ -98,9 +98,7 @@ def _pairs(a: Recording, b: Recording) -> Iterator[tuple[str, Sequence[str], Ser
     for topic in topics.LOOP_TOPICS:
         one, other = a.series[topic.name], b.series[topic.name]
         quantities = topic.quantities
-        if (
-            topic == topics.REFERENCE_FORCE
-        ):  # with target_motion the target's motion comes before it
+        if topic == topics.REFERENCE_FORCE:  # with target_motion after the target's motion
             count = min(one.values.shape[1], other.values.shape[1])
             quantities = topics.TARGET.quantities[-count:]
             one, other = (replace(s, values=s.values[:, -count:]) for s in (one, other))

@@ -263,10 +263,9 @@ class MultisineResult:
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
         if least <= SIGNIFICANT * error:
             sticks = f"the specimen sticks under sines of {1e3 * multisine.travel:.3g} mm"
-            why = f"its least mass is {least:.3g} ± {error:.2g} kg"
-            raise InputError(
-                f"multisine: {sticks}: {why}; give a larger --travel, so that it slips"
-            )
+            mend = "give a larger --travel, so that it slips"
+            least_mass = f"its least mass is {least:.3g} ± {error:.2g} kg"
+            raise InputError(f"multisine: {sticks}: {least_mass}; {mend}")
         told = experiment["reference_force"]["calibration.force_scale_error"]
         scale_error = per_axis(told, experiment.axes, "/**: calibration.force_scale_error")
         if weighed:
