@@ -240,10 +240,8 @@ class MethodInputs:
         if min(own, whole) <= 0 and self.options["actuator.kind"] not in FORCE_DRIVEN:
             method = f"reference_force: compensation.method {self.options['compensation.method']}"
             text = f"{method} needs the delay from reference force to measured force"
-            how = (
-                "seft identify finds it and writes it into model.yaml, to be read by --params-file"
-            )
-            raise InputError(f"/**: actuator.delay is 0, but {text}; {how}")
+            how = "seft identify finds it and writes it into model.yaml, to be read by"
+            raise InputError(f"/**: actuator.delay is 0, but {text}; {how} --params-file")
         return whole
 
 
