@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
-from seft_ros.analysis.channel_estimates import (
-    motion_frequency,
-    relation,
-    with_motion,
-)
+from seft_ros.analysis.channel_estimates import motion_frequency, relation, with_motion
 from seft_ros.analysis.mass_estimate import inertia
 
 DT, MASS = 0.002, 40.0
 NOISE = np.array([3e-6, 5e-4, 0.03, 2.0])  # m, m/s, m/s^2, N
 
 
-def samples(
-    *, lag=(0.0, 0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0, 1.0), seconds=16.0, size=1.0, seed=1
-):
+def samples(*, lag=(0.0,) * 4, scale=(1.0,) * 4, seconds=16.0, size=1.0, seed=1):
     """Samples of a specimen with a softening spring and a weak slider, shape (N, 4, 1).
 
     Its motion is a sum of sines, so that each channel is exact at any time.

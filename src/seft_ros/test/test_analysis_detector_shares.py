@@ -11,11 +11,7 @@ from seft_plant_sim.judge.detector_step import begin_detectors, detect_all
 from seft_plant_sim.judge.detectors import detectors_of
 from seft_ros.analysis.summary import detector_shares
 from seft_ros.bags.recording import Recording, Series
-from seft_ros.force_controller.target_distance import (
-    begin_tracking,
-    track_all,
-    tracking_detector,
-)
+from seft_ros.force_controller import target_distance
 
 DT = 0.002
 
@@ -54,11 +50,8 @@ def test_detectors_know_what_their_section_says_of_their_axes():
     assert p.persistence[2] == 3
     np.testing.assert_allclose(p.rig.past[:, 0].sum(axis=1), 1.0, atol=0.01)  # what is sent, flows
     alone, state = detectors_of(section, axes, DT, (1,))
-    assert (alone.rig.mass.item(), alone.rig.stiffness.item(), alone.noise[3, 0]) == (
-        45.0,
-        160e3,
-        4.0,
-    )
+    mass, stiffness = alone.rig.mass.item(), alone.rig.stiffness.item()
+    assert (mass, stiffness, alone.noise[3, 0]) == (45.0, 160e3, 4.0)
     assert (alone.rig.ranges[3, 0], state.last.shape) == (9000.0, (4, 1))
 
 
@@ -91,13 +84,8 @@ def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
     states = noise * rng.normal(size=(50, 6, 2))
     measured = noise[:4] * rng.normal(size=(50, 4, 2))  # which the rig's detectors see
     points, steps = 1e-5 * rng.normal(size=(50, 3, 2)), np.arange(50)
-    of_loop = {
-        "rig/state": states,
-        "rig/measured": measured,
-        "reference_force": points,
-        "valve_command": np.zeros((50, 1, 2)),
-        "ground_motion": np.zeros((50, 1, 2)),
-    }
+    of_loop = {"rig/state": states, "rig/measured": measured, "reference_force": points}
+    of_loop |= dict.fromkeys(("valve_command", "ground_motion"), np.zeros((50, 1, 2)))
     series = {name: Series(steps, values) for name, values in of_loop.items()}
     expected = []
     for own in ([0], [1]):
@@ -106,9 +94,9 @@ def test_shares_of_a_test_are_the_largest_of_all_its_rigs():
         shown, drive = (np.ascontiguousarray(v[..., own]) for v in (measured, states[:, 5]))
         detect_all(p, state, steps, shown, drive, np.empty((4, 1)))
         expected.append(state.shares[:, 0])
-    watched = tracking_detector(experiment["force_controller"], axes, (0, 1), dt)
-    begin_tracking(watched[1])
-    track_all(*watched, steps, np.ascontiguousarray(points[:, 0]), states)
+    watched = target_distance.tracking_detector(experiment["force_controller"], axes, (0, 1), dt)
+    target_distance.begin_tracking(watched[1])
+    target_distance.track_all(*watched, steps, np.ascontiguousarray(points[:, 0]), states)
     found = detector_shares(Recording(experiment, series))
     assert list(found) == [one.name for one in (*DETECTORS, TRACKING)]
     shares = list(found.values())

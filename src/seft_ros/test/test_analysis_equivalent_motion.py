@@ -9,14 +9,7 @@ from experiments_at_hand import load
 from recordings_at_hand import recording_of, without
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.whole_structure import reference_response, whole_structure
-from seft_ros.analysis.equivalent_motion import (
-    EquivalentMotion,
-    assumed_structure,
-    motion_difference,
-    tracked_of,
-    tracking_error_of,
-    tracking_of,
-)
+from seft_ros.analysis import equivalent_motion as equivalent
 from seft_ros.analysis.metrics import delayed
 from seft_ros.analysis.specimen_law import SpecimenLaw, springs_of
 from seft_ros.analysis.summary import summarise
@@ -55,8 +48,8 @@ def states_of(test, motion):
 
 
 def equivalent_of(test, states):
-    assumed = assumed_structure(test)
-    return EquivalentMotion(whole_structure(assumed), test.timebase.dt).advance(states)
+    assumed = equivalent.assumed_structure(test)
+    return equivalent.EquivalentMotion(whole_structure(assumed), test.timebase.dt).advance(states)
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -81,9 +74,8 @@ def test_a_test_of_a_few_samples_has_a_summary(config, count):
 @pytest.mark.parametrize("size", [1e20, 1e60])
 def test_a_test_that_went_unstable_has_a_summary(size):
     test = experiment()
-    states = (
-        states_of(test, ground(test)) * np.geomspace(1.0, size, COUNT)[:, np.newaxis, np.newaxis]
-    )
+    growth = np.geomspace(1.0, size, COUNT)[:, np.newaxis, np.newaxis]
+    states = states_of(test, ground(test)) * growth
     json.dumps(summarise(recording_of(test, ground(test), states)), allow_nan=False)
 
 
@@ -123,7 +115,7 @@ def test_the_difference_is_the_error_of_a_linear_test(config):
 def test_a_larger_motion_differs_as_much_everywhere():
     test = experiment("three_storey_frame").changed(WITHOUT_FOLDING)
     motion = ground(test)
-    found = motion_difference(recording_of(test, motion, states_of(test, 1.1 * motion)))
+    found = equivalent.motion_difference(recording_of(test, motion, states_of(test, 1.1 * motion)))
     assert found.specimen_nrmse == pytest.approx(0.1, rel=0.02)
     # the acceleration is smooth between samples, that of the reference is linear
     np.testing.assert_allclose(found.tested, 1.1 * found.asked, rtol=1e-3)
@@ -151,15 +143,16 @@ def test_the_law_of_the_test_says_what_another_motion_would_have_done():
 def test_beyond_the_motion_of_the_test_the_law_pulls_back():
     """Noise may make the last corners of the curve fall."""
     test = experiment("three_storey_frame")
-    motion, known = ground(test), assumed_structure(test)
+    motion, known = ground(test), equivalent.assumed_structure(test)
     whole, states, dt = whole_structure(known), states_of(test, motion), test.timebase.dt
     states[:, 3] += 1e3 * np.random.default_rng(1).normal(size=motion.shape)
-    law = SpecimenLaw(whole, EquivalentMotion(whole, dt).mass, states, springs_of(known, whole), dt)
+    mass = equivalent.EquivalentMotion(whole, dt).mass
+    law = SpecimenLaw(whole, mass, states, springs_of(known, whole), dt)
     assert law.difference(99.0 * motion) == pytest.approx(0.99, abs=0.05)
 
 
 def test_a_specimen_without_stiffness_has_springs_to_the_ground():
-    assumed = assumed_structure(load("specimen.stiffness:=0.0"))
+    assumed = equivalent.assumed_structure(load("specimen.stiffness:=0.0"))
     np.testing.assert_array_equal(springs_of(assumed, whole_structure(assumed)), np.eye(1))
 
 
@@ -168,7 +161,7 @@ def test_samples_that_are_lost_are_bridged():
     motion = ground(test)
     recording = recording_of(test, motion, states_of(test, motion))
     recording = without(recording, "rig/state", [300, 301, 900])
-    assert motion_difference(recording).response_nrmse < 0.01
+    assert equivalent.motion_difference(recording).response_nrmse < 0.01
 
 
 @pytest.mark.parametrize("what", ["no step 0", "no motion", "no structure", "not finite", "empty"])
@@ -206,14 +199,15 @@ def test_a_method_that_sends_ahead_is_held_against_what_it_meant(config):
     force = states[:, 3]
     ahead = np.stack([delayed(y, -0.014, test.timebase.dt) for y in force.T], axis=1)
     recording = recording_of(test, motion, states, ahead[:, np.newaxis])
-    assert tracked_of(recording).derived
-    found = tracking_of(recording)
+    assert equivalent.tracked_of(recording).derived
+    found = equivalent.tracking_of(recording)
     for axis in test.axes:
         assert found[axis]["nrmse"] < 2e-4
     sent = experiment(config, METHOD("none"))
     recording = dataclasses.replace(recording, experiment=sent)
-    assert not tracked_of(recording).derived
-    assert tracking_of(recording)[test.axes[0]]["delay_s"] == pytest.approx(14e-3, abs=5e-4)
+    assert not equivalent.tracked_of(recording).derived
+    first = equivalent.tracking_of(recording)[test.axes[0]]
+    assert first["delay_s"] == pytest.approx(14e-3, abs=5e-4)
 
 
 def test_a_reference_force_with_a_target_tells_both_motion_and_force():
@@ -221,10 +215,10 @@ def test_a_reference_force_with_a_target_tells_both_motion_and_force():
     states = states_of(test, ground(test))
     targets = np.stack([0.9 * states[:, 0], states[:, 1], states[:, 3]], axis=1)
     recording = recording_of(test, ground(test), states, targets)
-    assert tracking_error_of(recording)["nrmse"] == pytest.approx(0.1)
-    assert tracking_of(recording)["x"]["nrmse"] == 0.0
+    assert equivalent.tracking_error_of(recording)["nrmse"] == pytest.approx(0.1)
+    assert equivalent.tracking_of(recording)["x"]["nrmse"] == 0.0
     assert summarise(recording)["tracking_error"]["nrmse"] == pytest.approx(0.1)
-    assert tracking_error_of(recording_of(test, ground(test), states)) is None
+    assert equivalent.tracking_error_of(recording_of(test, ground(test), states)) is None
 
 
 LENGTH = 3000
@@ -257,10 +251,10 @@ def test_a_known_delay_and_gain_are_reported():
 
 
 def test_lost_samples_of_either_topic_are_bridged():
-    whole = tracking_of(tracking(1.05, 0.0037))["x"]
+    whole = equivalent.tracking_of(tracking(1.05, 0.0037))["x"]
     test = without(tracking(1.05, 0.0037), "reference_force", [0, 700, 1500, 1501, LENGTH - 1])
     test = without(test, "rig/state", [1400, 1501, 1600])
-    found = tracking_of(test)["x"]
+    found = equivalent.tracking_of(test)["x"]
     assert found == pytest.approx(whole, rel=5e-3)
 
 

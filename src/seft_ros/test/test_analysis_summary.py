@@ -92,13 +92,8 @@ def test_lost_steps_are_counted_and_the_others_compared():
     recording = without(make_recording(gain=1.05), "rig/state", [300, 301, 700])
     summary = summarise(without(recording, "valve_command", range(10)))
     assert summary["steps"] == COUNT
-    assert summary["lost"] == {
-        "ground_motion": 0,
-        "rig/state": 3,
-        "rig/measured": 3,
-        "reference_force": 0,
-        "valve_command": 10,
-    }
+    lost = {"ground_motion": 0, "rig/state": 3, "rig/measured": 3, "reference_force": 0}
+    assert summary["lost"] == lost | {"valve_command": 10}
     assert summary["displacement"]["nrmse"] == pytest.approx(0.05)
 
 
@@ -109,10 +104,7 @@ def test_what_was_at_the_end_of_its_range_is_reported_by_name():
         "force_range": {"samples": 3, "first_step": 500},
     }
     summary = summarise(make_recording(saturation=saturation))
-    assert summary["saturated"] == {
-        "force_range": {"samples": 3, "first_step": 500},
-        "valve": {"samples": 12, "first_step": 40},
-    }
+    assert summary["saturated"] == saturation
     assert list(summary["saturated"]) == ["force_range", "valve"]
     assert summary["stable"] is True
 
@@ -195,9 +187,8 @@ def test_a_figure_holds_the_samples_in_units_for_people_against_time():
 
 def test_figures_are_saved_as_png_whatever_a_reason_holds_or_refused(tmp_path):
     backend = mpl.get_backend()
-    drawn = figures.test_figure(
-        make_recording(trip=Trip("force of $5 on axis $x", 1999, 3.998)), None
-    )
+    tripped = make_recording(trip=Trip("force of $5 on axis $x", 1999, 3.998))
+    drawn = figures.test_figure(tripped, None)
     save_figure(drawn, tmp_path / "figure")
     assert imread(tmp_path / "figure.png").shape[:2] == (1080, 1425)
     assert mpl.get_backend() == backend  # the user's pyplot

@@ -6,17 +6,10 @@ Each is the linear filter that it says it is: test_compensation_substructure.py.
 from itertools import pairwise
 from types import SimpleNamespace
 
+import compensators
 import numpy as np
 import pytest
-from compensators import (
-    DT,
-    C,
-    K,
-    assert_axes_are_apart,
-    assert_known_motion_is_all,
-    compensator,
-    run,
-)
+from compensators import DT, C, K, compensator, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -29,13 +22,13 @@ DELAYS = st.floats(0.0031, 0.0399)
 
 @pytest.mark.parametrize("method", LINEAR)
 def test_axes_that_are_not_coupled_are_tests_of_their_own(method):
-    assert_axes_are_apart(method)
+    compensators.assert_axes_are_apart(method)
 
 
 @given(delay=DELAYS, step=st.integers(0, 5))
 @settings(max_examples=25)
 def test_without_computed_mass_the_known_ground_motion_is_all(delay, step):
-    assert_known_motion_is_all("model", delay, step)
+    compensators.assert_known_motion_is_all("model", delay, step)
 
 
 def test_a_method_without_its_delay_says_where_to_get_it():

@@ -9,11 +9,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.whole_structure import reference_response
-from seft_ros.reference_force.compensation_methods import (
-    COMPENSATION_METHODS,
-    _BehindMotion,
-    substructure_motion,
-)
+from seft_ros.reference_force import compensation_methods as methods
 from seft_ros.reference_force.reference_force_block import compensator, method_inputs
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS, TARGET_MOTION
 from structures_at_hand import as_lists, structure
@@ -59,7 +55,7 @@ def test_in_a_perfect_test_the_reference_force_is_the_exact_one(method, seed, ax
 def test_what_stands_for_the_ground_motion_is_known_ahead(seed, axes, internal):
     section, preview = section_of(seed, axes, internal), 60
     known = known_of(section)
-    motion = substructure_motion(known, preview)
+    motion = methods.substructure_motion(known, preview)
     ground, states = exact_test(section, seed)
     matrix, work = motion.matrix(), np.zeros(motion.matrix().shape[1])
     outputs, inside = (1 + preview) * axes, len(motion.a)
@@ -82,8 +78,8 @@ def test_a_method_is_the_linear_filter_that_it_says_it_is(method, internal):
     section = section_of(3, 2, internal, 500.0, actuator__delay=0.0103)
     known = known_of(section)
     one = compensator(method, known)
-    motion = substructure_motion(known, one.preview)
-    again = _BehindMotion(COMPENSATION_METHODS[method](known), motion)
+    motion = methods.substructure_motion(known, one.preview)
+    again = methods._BehindMotion(methods.COMPENSATION_METHODS[method](known), motion)
     matrix, size = one.linear().matrix(), len(one.linear().a)
     rng, work = np.random.default_rng(1), np.zeros(one.linear().matrix().shape[1])
     for _ in range(20):

@@ -34,12 +34,8 @@ def lines(filters=(), common=(), sticks=0.0, noise=NOISE):
         known.filter[row, axis], known.filter_damping[row, axis] = natural, damping
     passed = known.response(2 * np.pi * hz)
     for natural, damping in common:
-        passed = (
-            passed
-            / (1.0 + 2 * damping * s / (2 * np.pi * natural) + (s / (2 * np.pi * natural)) ** 2)[
-                :, :, np.newaxis
-            ]
-        )
+        u = s / (2 * np.pi * natural)
+        passed = passed / (1.0 + 2 * damping * u + u**2)[:, :, np.newaxis]
     noise = np.broadcast_to(noise, whole.shape)
     return 2 * np.pi * hz, with_noise(whole * passed, noise), noise, known
 
@@ -104,12 +100,8 @@ def test_the_lag_of_the_force_behind_the_acceleration_is_found_whatever_sticks(l
 
 
 def test_what_several_channels_have_is_told_from_what_one_has_not():
-    each = [
-        (row, axis, 70.0, 0.7071)
-        for row in (DISPLACEMENT, VELOCITY, ACCELERATION)
-        for axis in (0, 1)
-    ]
-    *of, known = lines(each)
+    rows = (DISPLACEMENT, VELOCITY, ACCELERATION)
+    *of, known = lines([(row, axis, 70.0, 0.7071) for row in rows for axis in (0, 1)])
     found = found_in(*of)
     assert not found.filter[FORCE].any()
     np.testing.assert_allclose(found.filter[:FORCE], known.filter[:FORCE], rtol=0.08)

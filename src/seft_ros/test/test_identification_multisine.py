@@ -14,21 +14,10 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
 from seft_plant_sim.rig_parameters import truth
+from seft_ros.identification import calibrated, multisine
 from seft_ros.identification.actuator_fit import ActuatorFit
-from seft_ros.identification.calibrated import (
-    Calibrated,
-    MultisineResult,
-    all_known,
-    multisine_notes,
-)
 from seft_ros.identification.identified import Identified, ValveResponse, fitted_plant
-from seft_ros.identification.multisine import (
-    Multisine,
-    Sine,
-    multisine_drive,
-    plan_multisine,
-    with_actuators,
-)
+from seft_ros.identification.multisine import Multisine, Sine, plan_multisine
 from seft_ros.identification.multisine_estimates import harmonics
 from seft_ros.identification.response_fits import SpecimenFit
 from seft_ros.identification.rig_tests import multisine_test, write_forces
@@ -43,6 +32,7 @@ FLAG = (  # another mass, stiffness, oil column and law than any configuration h
 )
 FRICTION = (f"{SPECIMEN}kind:=friction", f"{SPECIMEN}friction.force:=60.0")
 SENSORS = "rig:simulated.sensors."
+NOISELESS = ("/**:sensors.displacement_noise:=0.0", "/**:sensors.adc_bits:=0")
 
 
 def true(config="jhu"):
@@ -57,22 +47,14 @@ def identified(experiment):
     names += ("valve_frequency", "valve_damping", "dead_time")
     known_values = {name: experiment["force_controller"][f"actuator.{name}"] for name in names}
     none = np.zeros(0)
-    more = {
-        "friction": 0.0,
-        "friction_velocity": 0.005,
-        "drag": 0.0,
-        "explained": 1.0,
-        "unsure": (),
-        "largest_force": 0.0,
-        "dt": 0.002,
-    }
+    more = {"friction": 0.0, "friction_velocity": 0.005, "drag": 0.0, "largest_force": 0.0}
+    more |= {"explained": 1.0, "unsure": (), "dt": 0.002}
     fit = ActuatorFit(**known_values, **more, measured=none, modelled=none)
     assumed = method_inputs(experiment["reference_force"], experiment.axes, experiment.timebase)
     model = SpecimenFit(assumed.mass, assumed.damping, assumed.stiffness, 0.0)
-    whole = fitted_plant(model, [fit] * len(experiment.axes))
-    valves = [
-        ValveResponse(fit, None, 0.0, whole.axis(axis)) for axis in range(len(experiment.axes))
-    ]
+    count = len(experiment.axes)
+    whole = fitted_plant(model, [fit] * count)
+    valves = [ValveResponse(fit, None, 0.0, whole.axis(axis)) for axis in range(count)]
     return Identified(experiment.axes, (0.3, 200.0), model, valves, [], [], [])
 
 
@@ -81,21 +63,16 @@ def multisine_of(*words, config="jhu", elsewhere=None):
     """Run the multisine test of a configuration once, with known actuators."""
     experiment = load(*words, config=config)
     found = identified(experiment)
-    plan = with_actuators(plan_multisine(experiment), found, experiment)
-    commands, sines = multisine_drive(plan, found, experiment.timebase.dt)
+    plan = multisine.with_actuators(plan_multisine(experiment), found, experiment)
+    commands, sines = multisine.multisine_drive(plan, found, experiment.timebase.dt)
     with TemporaryDirectory() as folder:
         path = write_forces(Path(folder) / "multisine.csv", experiment, commands)
         recording = simulated(multisine_test(experiment, path))
     assert recording.trip is None
-    known = all_known(load(config=config))
-    return MultisineResult.of_recording(
-        plan,
-        recording,
-        sines,
-        found,
-        Calibrated(known, known, 0.0, False),
-        tilt_elsewhere=elsewhere and tuple(np.array(each) for each in elsewhere),
-    )
+    known = calibrated.all_known(load(config=config))
+    test = plan, recording, sines, found, calibrated.Calibrated(known, known, 0.0, False)
+    tilt = elsewhere and tuple(np.array(each) for each in elsewhere)
+    return calibrated.MultisineResult.of_recording(*test, tilt_elsewhere=tilt)
 
 
 def assert_known(value, error, true, most):
@@ -141,9 +118,8 @@ def test_a_weighed_mass_tells_the_scale_of_the_force():
 
 
 def test_friction_spoils_neither_mass_nor_bias():
-    fit = multisine_of(
-        *FRICTION, f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4"
-    ).fit
+    biases = f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4"
+    fit = multisine_of(*FRICTION, *biases).fit
     assert_known(fit.mass[0, 0], fit.mass_error[0, 0], 52.7, 0.12)
     assert fit.mass[0, 0] == pytest.approx(52.7, rel=4e-3)
     assert fit.bias[DISPLACEMENT, 0] == pytest.approx(2e-4, abs=1e-5)
@@ -154,10 +130,10 @@ def test_of_a_specimen_that_rubs_the_damping_is_found_beside_its_friction():
     found = multisine_of(*FRICTION)
     assert_known(found.fit.damping[0, 0], found.fit.damping_error[0, 0], 800.3, 80.0)
     assert found.facts()["specimen.damping"] == [pytest.approx(800.3, rel=0.3)]
-    assert [note for note in multisine_notes(found, ("x",)) if "specimen rubs" in note]
+    assert "specimen rubs" in "".join(calibrated.multisine_notes(found, ("x",)))
     linear = multisine_of()
     assert "specimen.damping" not in linear.facts()  # the open loop says it better
-    assert not [note for note in multisine_notes(linear, ("x",)) if "specimen rubs" in note]
+    assert "specimen rubs" not in "".join(calibrated.multisine_notes(linear, ("x",)))
 
 
 def test_overtones_that_a_filter_buries_in_noise_do_not_spoil_the_mass():
@@ -191,7 +167,7 @@ def test_several_axes_give_the_matrix_and_a_tilt():
     fit = found.fit
     np.testing.assert_allclose(fit.mass, 52.7 * np.eye(3), atol=0.3)
     assert_known(fit.tilt[1, 0], fit.tilt_error[1, 0], 0.03, 2e-3)
-    notes = multisine_notes(found, ("a", "b", "c"))
+    notes = calibrated.multisine_notes(found, ("a", "b", "c"))
     assert [note for note in notes if "axis b" in note and "of a:" in note and "tilt corr" in note]
     assert sum("tilted" in note for note in notes) == 1
 
@@ -247,10 +223,8 @@ def test_limits_lower_the_highest_frequency():
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_range_of_0_is_no_limit(channel):
-    unlimited = f"/**:sensors.{channel}_range:=0.0"
-    assert plan_multisine(load("/**:sensors.adc_bits:=0", unlimited)) == plan_multisine(
-        load("/**:sensors.adc_bits:=0")
-    )
+    bits, unlimited = "/**:sensors.adc_bits:=0", f"/**:sensors.{channel}_range:=0.0"
+    assert plan_multisine(load(bits, unlimited)) == plan_multisine(load(bits))
 
 
 def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate():
@@ -267,11 +241,7 @@ def test_a_stiff_heavy_specimen_is_tested_at_the_same_frequencies_at_every_rate(
         ((), 0.06, r"would reach 0.06 m with 60 mm.*half of /\*\*: limits.displacement, 0.076"),
         ((), -1e-4, "--travel is -0.0001 m"),
         (("/**:limits.force:=20.0",), None, r"half of /\*\*: limits.force.*--travel"),
-        (
-            ("/**:sensors.displacement_noise:=0.0", "/**:sensors.adc_bits:=0"),
-            None,
-            r"/\*\*: sensors.displacement_noise is 0",
-        ),
+        (NOISELESS, None, r"/\*\*: sensors.displacement_noise is 0"),
     ],
 )
 def test_a_multisine_test_beyond_limits_is_refused_before_anything_moves(words, travel, message):
@@ -283,7 +253,7 @@ def test_a_multisine_test_beyond_the_valve_is_refused():
     experiment = load()
     with pytest.raises(InputError, match=r"limits.command, 10 V; give a smaller --travel"):
         plan = Multisine(0.01, 50.0, {})
-        with_actuators(plan, identified(experiment), experiment)
+        multisine.with_actuators(plan, identified(experiment), experiment)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])

@@ -1,5 +1,6 @@
 """The tests of an identification as experiments, run offline."""
 
+import math
 import re
 
 import numpy as np
@@ -11,22 +12,12 @@ from seft_msgs_py.errors import InputError
 from seft_plant_sim.limits import Limits, exceeds
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.ground_motion.synthetic_motion import excitation
-from seft_ros.identification.rig_tests import (
-    LargestLevels,
-    Levels,
-    Motions,
-    closed_loop_test,
-    default_force,
-    frequency_response,
-    has_valve,
-    motion_spectra,
-    open_loop,
-    pilot_voltage,
-    voltage_after,
-)
+from seft_ros.identification import rig_tests
+from seft_ros.identification.rig_tests import LargestLevels, Levels, open_loop, pilot_voltage
 from seft_ros.protection.protected_force import PlausibleForce, is_plausible
 
 VOLTAGE = 0.1
+LINEAR = "/**:actuator.kind:=servo_hydraulic_linear"
 
 
 @pytest.fixture
@@ -35,7 +26,7 @@ def record(tmp_path):
 
     def make(of):
         band, seed = (1.0, 100.0), 1
-        motions = Motions(of, band, seed)
+        motions = rig_tests.Motions(of, band, seed)
         unit = excitation(5000, len(of.axes), of.timebase.dt, band, seed)
         return motions.write(tmp_path / "record.csv", 10.0), unit
 
@@ -48,12 +39,8 @@ TWO_AXES = ("axes:=[x, y]", "/**:specimen.mass:=[52.7, 3.0, 3.0, 40.0]")
 @pytest.mark.parametrize("overrides", [(), TWO_AXES])
 @pytest.mark.parametrize("mass_ratio", [0.0, 2.0])
 def test_in_the_open_loop_the_record_drives_the_valves(record, overrides, mass_ratio):
-    of = load(
-        *overrides,
-        f"reference_force:mass_ratio:={mass_ratio}",
-        "ground_motion:peak_force:=1000.0",
-        "ground_motion:influence:=2.0",
-    )
+    motion = ("ground_motion:peak_force:=1000.0", "ground_motion:influence:=2.0")
+    of = load(*overrides, f"reference_force:mass_ratio:={mass_ratio}", *motion)
     path, unit = record(of)
     done = simulated(open_loop(of, path, VOLTAGE))
     commands = done.series["valve_command"].values[:, 0]
@@ -78,7 +65,7 @@ def unit_of(of, band=(0.3, 200.0), duration=20.0):
 )
 def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, message):
     of = load("/**:limits.command:=9.0")
-    largest = LargestLevels.of(of, unit_of(of))
+    largest = LargestLevels.of(of, unit_of(of), math.inf)
     with pytest.raises(InputError, match=message):
         largest.check(levels)
 
@@ -87,7 +74,7 @@ def test_levels_beyond_the_limits_are_refused_with_the_largest_ones(levels, mess
 def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not(rate):
     of = load(f"rate:={rate}.0", "/**:limits.force_rate:=1e6")
     unit = unit_of(of)
-    largest = LargestLevels.of(of, unit)
+    largest = LargestLevels.of(of, unit, math.inf)
     plausible = PlausibleForce(1e9, 1e6, ("x",), of.timebase.dt)
 
     def refused(force):
@@ -101,22 +88,22 @@ def test_the_largest_force_reaches_a_limit_and_its_error_names_one_that_does_not
     named = float(re.search(r"and (\S+) N at most", str(message.value))[1])
     largest.check(Levels(0.1, named))
     assert 0.98 * largest.force[0] < named
-    assert default_force(of, largest) <= 0.5 * largest.force[0]
+    assert rig_tests.default_force(of, largest) <= 0.5 * largest.force[0]
 
 
 def test_under_a_cap_levels_are_those_at_which_the_known_rig_reaches_it(record):
-    of, cap = load("/**:actuator.kind:=servo_hydraulic_linear"), 1e-3
+    of, cap = load(LINEAR), 1e-3
     path, unit = record(of)
     largest = LargestLevels.of(of, unit, cap)
     assert largest.voltage[1] == largest.force[1] == "--max-displacement"
     opened = simulated(open_loop(of, path, largest.voltage[0]))
-    closed = simulated(closed_loop_test(of, path, 0.5 * largest.force[0]))
+    closed = simulated(rig_tests.closed_loop_test(of, path, 0.5 * largest.force[0]))
     for done, reached in ((opened, cap), (closed, 0.5 * cap)):
         moved = np.abs(done.states.values[:, 0]).max()
         assert 0.8 * reached < moved < 1.05 * reached
     soft = Specimen(np.eye(1) * 52.7, np.eye(1) * 800.0, np.eye(1) * 2.1e4)
     assert LargestLevels.of(of, unit, cap, soft).force[0] < 0.5 * largest.force[0]
-    assert pilot_voltage(of, largest) == pilot_voltage(of, LargestLevels.of(of, unit))
+    assert pilot_voltage(of, largest) == pilot_voltage(of, LargestLevels.of(of, unit, math.inf))
     small = LargestLevels.of(of, unit, 1e-4)
     assert pilot_voltage(of, small) == pytest.approx(0.22 * 0.1 * largest.voltage[0])
 
@@ -124,9 +111,10 @@ def test_under_a_cap_levels_are_those_at_which_the_known_rig_reaches_it(record):
 def after_pilot(of, record):
     """Voltage after a pilot, and the largest one."""
     path, unit = record(of)
-    largest = LargestLevels.of(of, unit)
+    largest = LargestLevels.of(of, unit, math.inf)
     low = pilot_voltage(of, largest)
-    return voltage_after(simulated(open_loop(of, path, low)), low, largest), largest.voltage[0]
+    pilot = simulated(open_loop(of, path, low))
+    return rig_tests.voltage_after(pilot, low, largest), largest.voltage[0]
 
 
 def shares_of(of, path, voltage):
@@ -139,18 +127,15 @@ def shares_of(of, path, voltage):
 
 
 def test_after_a_pilot_the_rig_uses_a_fifth_of_its_limits(record):
-    of = load("/**:actuator.kind:=servo_hydraulic_linear")
+    of = load(LINEAR)
     voltage, _ = after_pilot(of, record)
-    assert voltage > 2 * pilot_voltage(of, LargestLevels.of(of, record(of)[1]))
+    assert voltage > 2 * pilot_voltage(of, LargestLevels.of(of, record(of)[1], math.inf))
     shares = shares_of(of, record(of)[0], voltage)
     assert shares[0].max() == pytest.approx(0.22, rel=0.05)
 
 
 def test_after_a_pilot_no_change_uses_more_than_half_of_its_limit(record):
-    of = load(
-        *("/**:actuator.kind:=servo_hydraulic_linear", "/**:limits.velocity_rate:=40.0"),
-        "rate:=1000.0",
-    )
+    of = load(LINEAR, "/**:limits.velocity_rate:=40.0", "rate:=1000.0")
     shares = shares_of(of, record(of)[0], after_pilot(of, record)[0])
     assert shares[1].max() == pytest.approx(0.5, rel=0.1)
     assert shares[0].max() < 0.22
@@ -165,7 +150,8 @@ def test_a_rig_that_hardly_moves_gets_peaks_of_half_the_voltage_limit_and_no_mor
 def test_the_closed_loop_follows_the_excitation_times_a_force(record):
     of = load()
     path, unit = record(of)
-    force = simulated(closed_loop_test(of, path, 150.0)).series["reference_force"].values[:, 0]
+    followed = simulated(rig_tests.closed_loop_test(of, path, 150.0))
+    force = followed.series["reference_force"].values[:, 0]
     np.testing.assert_allclose(force[: len(unit)], 150.0 * unit, atol=1e-6)
 
 
@@ -173,7 +159,7 @@ def test_the_closed_loop_follows_the_excitation_times_a_force(record):
     ("kind", "valve"), [("ideal", False), ("delay", False), ("servo_hydraulic", True)]
 )
 def test_idealised_actuators_have_no_valve(kind, valve):
-    assert has_valve(load(f"/**:actuator.kind:={kind}")) is valve
+    assert rig_tests.has_valve(load(f"/**:actuator.kind:={kind}")) is valve
 
 
 RATE = 500.0
@@ -194,9 +180,8 @@ def measured(noise, seed=1):
     u = rng.standard_normal(COUNT)
     y, known = resonator(u)
     y = y + noise * rng.standard_normal(COUNT)
-    found = frequency_response(
-        motion_spectra(np.column_stack([u, y]), RATE, SEGMENT), INPUT, OUTPUT, BAND
-    )
+    spectra = rig_tests.motion_spectra(np.column_stack([u, y]), RATE, SEGMENT)
+    found = rig_tests.frequency_response(spectra, INPUT, OUTPUT, BAND)
     return found, known(found.frequencies_hz)
 
 
@@ -223,12 +208,10 @@ def test_of_several_inputs_at_once_each_response_is_found():
     u = rng.standard_normal((COUNT, 2)) @ np.array([[1.0, 0.4], [0.0, 1.0]])  # correlated
     gains = np.array([[2.0, -0.5], [0.3, 1.5]])
     y = np.roll(u, 3, axis=0) @ gains.T + 0.1 * rng.standard_normal((COUNT, 2))
-    found = frequency_response(
-        motion_spectra(np.hstack([u, y]), RATE, SEGMENT), slice(0, 2), slice(2, 4), (2.0, 150.0)
-    )
+    spectra = rig_tests.motion_spectra(np.hstack([u, y]), RATE, SEGMENT)
+    found = rig_tests.frequency_response(spectra, slice(0, 2), slice(2, 4), (2.0, 150.0))
     turn = np.exp(-6j * np.pi * found.frequencies_hz / RATE)[:, np.newaxis, np.newaxis]
     np.testing.assert_allclose((found.response / turn).mean(axis=0), gains, atol=0.005)
     assert found.coherence.min() > 0.95
-    np.testing.assert_allclose(
-        np.abs(found.noise[:, 0, 1]).mean() / found.noise[:, 0, 0].real.mean(), 0, atol=0.3
-    )
+    common = np.abs(found.noise[:, 0, 1]).mean() / found.noise[:, 0, 0].real.mean()
+    np.testing.assert_allclose(common, 0, atol=0.3)

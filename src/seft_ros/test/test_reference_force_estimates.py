@@ -9,12 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.errors import WireError
 from seft_msgs_py.virtual import LocalGraph
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    GROUND_MOTION,
-    REFERENCE_FORCE,
-    Timebase,
-)
+from seft_msgs_py.wire.topics import ESTIMATES, GROUND_MOTION, REFERENCE_FORCE, Timebase
 from seft_ros.nodes.loop_node import NODE_KINDS
 from seft_ros.reference_force.compensation_methods import COMPENSATION_METHODS, none
 from seft_ros.reference_force.reference_force_block import EstimateSampler, ReferenceForce
@@ -60,9 +55,8 @@ def watched(monkeypatch):
 
 
 def sampler(rate, estimates=dict):
-    return EstimateSampler(
-        ReferenceForce(SimpleNamespace(preview=0, estimates=estimates)), Timebase.from_rate(rate)
-    )
+    method = SimpleNamespace(preview=0, estimates=estimates)
+    return EstimateSampler(ReferenceForce(method), Timebase.from_rate(rate))
 
 
 @pytest.mark.parametrize(("rate", "every"), [(500.0, 50), (512.0, 51), (25.0, 2), (4.0, 1)])

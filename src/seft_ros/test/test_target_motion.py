@@ -6,16 +6,9 @@ from experiments_at_hand import load, simulated
 from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.analysis.metrics import nrmse
+from seft_ros.reference_force import restoring_model as models
 from seft_ros.reference_force.observers import observe, observer_gains
 from seft_ros.reference_force.reference_force_block import method_inputs
-from seft_ros.reference_force.restoring_model import (
-    begin_model,
-    follow_specimen,
-    model_arrays,
-    move_stops,
-    slide,
-    tangent,
-)
 from seft_ros.reference_force.target_motion import TargetMotion, spring_deformations
 from seft_ros.test_run.blocks import build_blocks
 
@@ -61,9 +54,8 @@ def test_exact_test_is_its_own_target(config):
     ground = motion_of(tested)
     exact = reference_response(tested, ground.samples)
     window = 1 + method.preview
-    points = np.array(
-        [method.step(ground.known[k : k + window], one)[0] for k, one in enumerate(exact.states)]
-    )
+    steps = enumerate(exact.states)
+    points = np.array([method.step(ground.known[k : k + window], one)[0] for k, one in steps])
     assert nrmse(points[:, 0], exact.displacement) < 2e-4
     assert nrmse(points[:, 2], exact.force) < 2e-3
 
@@ -90,9 +82,8 @@ def test_a_stiffness_that_was_identified_keeps_the_springs_that_were_told(told):
     words = [f"specimen.stiffness:={stiffness.ravel().tolist()}"]
     words += [f"specimen.springs:={STOREYS.ravel().tolist()}"] if told else []
     tested = load(*words, config="three_storey_frame")
-    found = spring_deformations(
-        method_inputs(tested["reference_force"], tested.axes, tested.timebase)
-    )
+    known = method_inputs(tested["reference_force"], tested.axes, tested.timebase)
+    found = spring_deformations(known)
     if told:
         np.testing.assert_array_equal(found, STOREYS)
     else:  # its modes: they are coupled by neither mass nor stiffness
@@ -158,25 +149,18 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
     The second row of the errors is with what makes good for the impulses before.
     """
     dt = 0.002
-    parameters, state = model_arrays(
-        (0,),
-        np.array([[52.7]]),
-        np.array([[damping]]),
-        np.array([[stiffness]]),
-        np.array([noise]),
-        np.array([[2.6e-6, 4.5e-4]]),
-        1.0,
-        np.array([44.7]),
-        dt,
-    )
-    begin_model(parameters, state)
+    of_spring = (np.array([[value]]) for value in (52.7, damping, stiffness))
+    noises = np.array([noise]), np.array([[2.6e-6, 4.5e-4]]), 1.0
+    made = models.model_arrays((0,), *of_spring, *noises, np.array([44.7]), dt)
+    parameters, state = made
+    models.begin_model(parameters, state)
     rng, last = np.random.default_rng(seed), 0.0
     left = []
     for one, rate, r in zip(x, v, restoring, strict=True):
-        move_stops(parameters, np.array([one - last]), state.stops)
+        models.move_stops(parameters, np.array([one - last]), state.stops)
         last = one
         measured = np.array([r + noise * rng.standard_normal()])
-        follow_specimen(parameters, state, np.array([one]), np.array([rate]), measured)
+        models.follow_specimen(parameters, state, np.array([one]), np.array([rate]), measured)
         error = r - state.values[0] @ state.regressors[0]
         left.append((error, error - state.sums[0, 3]))
     return parameters, state, np.transpose(left)
@@ -211,7 +195,7 @@ def test_an_offset_that_is_less_certain_than_the_sum_does_not_overshoot(share):
     state.covariance[0] = 0.0
     state.covariance[0, :2, :2] = 50.0**2 * np.outer(*2 * [[1.0, -share / x[2]]])
     expected = state.found[0] @ state.regressors[0]
-    follow_specimen(parameters, state, x[2:], np.zeros(1), np.array([expected + 10.0]))
+    models.follow_specimen(parameters, state, x[2:], np.zeros(1), np.array([expected + 10.0]))
     assert 0.0 <= abs(state.found[0] @ state.regressors[0] - expected) < 10.0
 
 
@@ -220,12 +204,12 @@ def test_noise_at_rest_does_not_soften_what_sticks():
     t, sticks, rng = 0.002 * np.arange(9000), 9.5e6, np.random.default_rng(5)
     true = 0.002 * np.sin(40.0 * np.minimum(t, 1.9)) + 1e-6 * np.sin(60.0 * t)
     v, stops, slips = np.gradient(true, 0.002), np.zeros((len(t), 1)), np.array([2e-5])
-    slide(true, slips, stops)
+    models.slide(true, slips, stops)
     x, rate = (of + rng.normal(0.0, noise, 9000) for of, noise in ((true, 2.6e-6), (v, 4.5e-4)))
     parameters, state, _ = followed(K * true + 800.0 * v + sticks * stops[:, 0], x, rate)
     state.stops[0] = 0.0
     assert state.found[0, 1:3] == pytest.approx([K, 800.0], rel=0.2)
-    assert tangent(parameters, state, 0) > 0.4 * sticks
+    assert models.tangent(parameters, state, 0) > 0.4 * sticks
 
 
 # ---- the whole loop

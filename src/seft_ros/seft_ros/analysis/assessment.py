@@ -73,15 +73,8 @@ def assess_test(summary: dict[str, Any], this: str = "This") -> Assessment:
     the line.
     """
     order = (Mark.BAD, Mark.DOUBT, Mark.GOOD, Mark.NONE)
-    found = (
-        *_beginning(summary),
-        *response_findings(summary),
-        *calibration_findings(summary),
-        *_together(summary),
-        *_untold(summary),
-        *_loop(summary),
-        *losses(summary),
-    )
+    parts = (_beginning, response_findings, calibration_findings, _together, _untold, _loop, losses)
+    found = (finding for part in parts for finding in part(summary))
     findings = sorted(found, key=lambda finding: order.index(finding.verdict))
     worst = findings[0].verdict
     reasons = "; ".join(finding.text for finding in findings if finding.verdict is worst)
@@ -110,11 +103,6 @@ def ramp_note(summary: dict[str, Any]) -> str:
     return "" if assessed == steps else note
 
 
-def _stop(summary: dict[str, Any]) -> str:
-    """Say when the operator stopped a test: its numbers are of the steps before."""
-    return f"{BY_OPERATOR} at {summary['judged_steps'] / summary['rate_hz']:.3f} s"
-
-
 def _early_ending(summary: dict[str, Any]) -> str:
     """Say how a test ended before its time; empty: it did not."""
     trip = summary["trip"]
@@ -137,16 +125,15 @@ def _beginning(summary: dict[str, Any]) -> Iterator[TestFinding]:
         text = "the bag has no checksums: samples that were changed would not be noticed"
         yield TestFinding("checked", Mark.NONE, text)
     if summary["first_step"]:
-        text = (
-            f"the recording begins at step {summary['first_step']} of the test; errors are of what "
-            "is there, against the reference response from step 0 on"
-        )
+        errors = "errors are of what is there, against the reference response from step 0 on"
+        text = f"the recording begins at step {summary['first_step']} of the test; {errors}"
         yield TestFinding("beginning", Mark.BAD, text)
     ending = _early_ending(summary)
     if ending:
         yield TestFinding("ending", Mark.BAD, ending, ramp_note(summary))
     elif summary["stopped"]:
-        yield TestFinding("ending", Mark.DOUBT, f"it was {_stop(summary)}", ramp_note(summary))
+        text = f"it was {BY_OPERATOR} at {summary['judged_steps'] / summary['rate_hz']:.3f} s"
+        yield TestFinding("ending", Mark.DOUBT, text, ramp_note(summary))
     else:
         text = f"it ran to its end, {summary['steps']} steps, {summary['duration_s']:g} s"
         yield TestFinding("ending", Mark.GOOD, text)
@@ -159,10 +146,8 @@ def response_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
     if simulated and part["nrmse"] is None:
         yield TestFinding("displacement_error", Mark.DOUBT, "its displacement error is not known")
     elif simulated:
-        text = (
-            f"displacement error {percent(part['nrmse'])} against the reference response of the "
-            "whole structure"
-        )
+        against = "against the reference response of the whole structure"
+        text = f"displacement error {percent(part['nrmse'])} {against}"
         yield TestFinding("displacement_error", _grade(part["nrmse"]), text, good)
         ratio = part["peak"] / part["reference_peak"] if part["reference_peak"] else float("nan")
         word, off = "larger" if ratio > 1 else "smaller", abs(ratio - 1)
@@ -175,10 +160,8 @@ def response_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
         text = "the equivalent ground motion is not known from the recording"
         yield TestFinding("equivalent_motion", Mark.NONE if simulated else Mark.DOUBT, text)
     else:
-        text = (
-            f"the specimen's response to the equivalent ground motion differs by {percent(error)} "
-            "from that to the one asked for"
-        )
+        differs = f"differs by {percent(error)} from that to the one asked for"
+        text = f"the specimen's response to the equivalent ground motion {differs}"
         detail = f"{percent(found['response_nrmse'])} if it were its model; {good}"
         # a target's displacement says more: where a specimen slips, the fitted law may be wrong
         mark = _grade(error, GOOD_ERROR, BAD_ERROR if target is None else float("inf"))
@@ -204,13 +187,7 @@ def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """
     simulated = _is_simulated(summary)
     found: dict[str, Any] = summary["calibration"] or dict.fromkeys(_DEVIATIONS)
-    names = {
-        "mass": "the specimen's mass",
-        "scale": "the channels' scale",
-        "lag": "their lag",
-        "drift": "their zero",
-    }
-    for kind, what in names.items():
+    for kind, (shown, what) in _DEVIATIONS.items():
         one = found[kind]
         if one is None:
             text = f"{what} is not known from the test: too short, too quiet, or not described"
@@ -219,7 +196,7 @@ def calibration_findings(summary: dict[str, Any]) -> Iterator[TestFinding]:
             continue
         of = "" if len(summary["axes"]) == 1 else f" of {one['axis']}"
         of += f" in the {one['part']}" if one["part"] else ""
-        text = f"{_DEVIATIONS[kind](one, of)}, an error of {_about(one['effect'])} in displacement"
+        text = f"{shown(one, of)}, an error of {_about(one['effect'])} in displacement"
         bound = GOOD_ERROR if kind == "drift" else GOOD_EFFECT
         mark = Mark.NONE if simulated else _grade(one["effect"], bound, float("inf"))
         yield TestFinding(kind, mark, text, _up_to(bound))
@@ -232,10 +209,9 @@ def _together(summary: dict[str, Any]) -> Iterator[TestFinding]:
         return
     most = math.hypot(motion, found["at_most"])
     text = f"ground motion, mass and channels together may mean an error of {_about(most)}"
-    detail = (
-        f"{_about(motion)} and {_about(found['at_most'])}, which also counts how well the test "
-        f"shows them, or seft identify --specimen; {_up_to(GOOD_ERROR)}"
-    )
+    counts = "which also counts how well the test shows them, or seft identify --specimen"
+    both = f"{_about(motion)} and {_about(found['at_most'])}"
+    detail = f"{both}, {counts}; {_up_to(GOOD_ERROR)}"
     mark = _grade(most, GOOD_ERROR, float("inf"))
     yield TestFinding("together", Mark.NONE if _is_simulated(summary) else mark, text, detail)
 
@@ -244,10 +220,8 @@ def _untold(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find what an error of the forces would mean, where nobody told it: nothing can show it."""
     effect = (summary["calibration"] or {}).get("force_scale")
     if effect and not _is_simulated(summary):
-        text = (
-            f"nobody told the load cell's scale, of which {_about(UNTOLD)} would mean an error of "
-            f"{_about(effect)} in displacement"
-        )
+        means = f"{_about(UNTOLD)} would mean an error of {_about(effect)} in displacement"
+        text = f"nobody told the load cell's scale, of which {means}"
         how = "it is told by seft identify --known-mass or --known-force"
         yield TestFinding("force_scale", Mark.NONE, text, how)
 
@@ -292,7 +266,12 @@ def _of_drift(one: dict[str, Any], of: str) -> str:
     return f"the zero of {one['channel']}{of} {word}"
 
 
-_DEVIATIONS = {"mass": _of_mass, "scale": _of_scale, "lag": _of_lag, "drift": _of_drift}
+_DEVIATIONS = {
+    "mass": (_of_mass, "the specimen's mass"),
+    "scale": (_of_scale, "the channels' scale"),
+    "lag": (_of_lag, "their lag"),
+    "drift": (_of_drift, "their zero"),
+}
 
 
 def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
@@ -300,10 +279,8 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
     ratio, delay = summary["vibration"]["ratio"], summary["uncompensated_delay_s"]
     if ratio is not None:
         low, high = summary["instability_band_hz"]
-        text = (
-            f"vibration of {percent(ratio)} of the reference acceleration where instability would "
-            f"start, {low:.3g} to {high:.3g} Hz"
-        )
+        where = f"where instability would start, {low:.3g} to {high:.3g} Hz"
+        text = f"vibration of {percent(ratio)} of the reference acceleration {where}"
         mark, detail = _grade(ratio, GOOD_VIBRATION, BAD_VIBRATION), _up_to(GOOD_VIBRATION)
         if not _is_simulated(summary) and summary["tracking_error"] is not None:
             mark, detail = Mark.NONE, "the reference is of the assumed specimen; the target decides"
@@ -325,29 +302,25 @@ def _loop(summary: dict[str, Any]) -> Iterator[TestFinding]:
 def losses(summary: dict[str, Any]) -> Iterator[TestFinding]:
     """Find what was too late, lost, or saturated."""
     missed, steps, link = summary["missed"], summary["steps"], summary["link"]
+    mark, text = Mark.GOOD, "no step missed the command deadline"
     if missed is None:
-        text = "it is not known how many steps missed the command deadline"
-        yield TestFinding("missed", Mark.DOUBT, text)
+        mark, text = Mark.DOUBT, "it is not known how many steps missed the command deadline"
     elif missed:
+        mark = Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT
         text = f"{missed} of {steps} steps missed the command deadline{_in_a_stall(summary)}"
-        yield TestFinding("missed", Mark.BAD if missed > BAD_MISSED * steps else Mark.DOUBT, text)
-    else:
-        yield TestFinding("missed", Mark.GOOD, "no step missed the command deadline")
+    yield TestFinding("missed", mark, text)
     if link and link["late"]:
         late, forces = link["late"], link["forces"]
-        text = (
-            f"{late} of {forces} reference forces came after the loop's delay of "
-            f"{link['loop_delay']} steps and were predicted, {link['held']} of them held"
-        )
+        predicted = f"{link['loop_delay']} steps and were predicted, {link['held']} of them held"
+        text = f"{late} of {forces} reference forces came after the loop's delay of {predicted}"
         yield TestFinding("link", Mark.BAD if late > BAD_LATE * forces else Mark.DOUBT, text)
     elif link:
         text = f"every reference force came within the loop's delay of {link['loop_delay']} steps"
         yield TestFinding("link", Mark.GOOD, text)
     lost = [f"{count} of {topic}" for topic, count in summary["lost"].items() if count]
     if summary["first_step"] is not None:
-        text = (
-            f"samples lost: {', '.join(lost)}" if lost else "no sample is lost from the recording"
-        )
+        text = f"samples lost: {', '.join(lost)}"
+        text = text if lost else "no sample is lost from the recording"
         yield TestFinding("lost", Mark.DOUBT if lost else Mark.GOOD, text)
     if summary["overruns"]:
         text = f"sampling overruns of the rig: {summary['overruns']}"

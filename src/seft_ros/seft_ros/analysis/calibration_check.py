@@ -19,14 +19,9 @@ from seft_plant_sim.calibration import SIGNIFICANT, significant
 from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.whole_structure import reference_response, whole_structure
 
+from seft_ros.analysis import channel_estimates
 from seft_ros.analysis.assessment import UNTOLD
-from seft_ros.analysis.channel_estimates import (
-    Relation,
-    acceleration_zero,
-    expected_relations,
-    motion_frequency,
-    relation,
-)
+from seft_ros.analysis.channel_estimates import Relation
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, inertia
 from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
@@ -97,9 +92,8 @@ class CalibrationEffect:
             return 0.0
         true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass
         by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
-        return max(
-            self._of(by_mass), self._of_force((1.0 / factor - 1.0) * self._samples[:, FORCE])
-        )
+        by_force = (1.0 / factor - 1.0) * self._samples[:, FORCE]
+        return max(self._of(by_mass), self._of_force(by_force))
 
     def of_force_scale(self, factor: Floats) -> float:
         """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
@@ -246,9 +240,8 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     if not whole or not np.isfinite(states.values).all():
         return None
     samples, dt = strongest(every_step(states, every)), experiment.timebase.dt
-    frequency, axes = motion_frequency(samples), experiment.axes
-    found: list[Deviation] = []
-    in_parts: list[Deviation] = []
+    frequency, axes = channel_estimates.motion_frequency(samples), experiment.axes
+    found, in_parts = list[Deviation](), list[Deviation]()
     means: dict[str, float | None] = dict.fromkeys(_MEANS)
     names = ("specimen.mass_error", "calibration.force_scale_error")
     known = (experiment["reference_force"][name] for name in names)
@@ -319,13 +312,11 @@ def _numbers(found: list[Deviation], axis: str) -> dict[str, Any]:
     return numbers
 
 
+_Numbers = tuple[Floats, Floats, Floats]
+
+
 def _each(
-    effect: float,
-    kind: str,
-    channel: str,
-    axes: Sequence[str],
-    numbers: tuple[Floats, Floats, Floats],
-    part: str = "",
+    effect: float, kind: str, channel: str, axes: Sequence[str], numbers: _Numbers, part: str = ""
 ) -> Iterator[Deviation]:
     """Give an estimate, what it should be, and its error, of each axis or pair of axes with one."""
     estimate, told, error = (np.diag(one) if one.ndim == 1 else one for one in numbers)
@@ -335,10 +326,7 @@ def _each(
 
 
 def _deviations(
-    effect: CalibrationEffect,
-    own: Relation | None,
-    relations: list[_OfChannel],
-    axes: Sequence[str],
+    effect: CalibrationEffect, own: Relation | None, others: list[_OfChannel], axes: Sequence[str]
 ) -> Iterator[Deviation]:
     none = np.zeros(len(axes))
     if own is not None:
@@ -347,7 +335,7 @@ def _deviations(
         yield from _each(effect.of_mass(1.0 + off), "mass", "force", axes, masses)
         late = effect.of_force_lag(significant(own.lag, own.lag_error))
         yield from _each(late, "lag", "force", axes, (own.lag, none, own.lag_error))
-    for channel, of, scale, lag in relations:
+    for channel, of, scale, lag in others:
         wrong = significant(of.scale - np.diag(scale), of.scale_error)
         scales = of.scale, np.diag(scale), of.scale_error
         yield from _each(effect.of_scale(np.eye(len(axes)) + wrong), "scale", channel, axes, scales)
@@ -356,11 +344,7 @@ def _deviations(
 
 
 def _at_most(
-    effect: CalibrationEffect,
-    own: Relation,
-    relations: list[_OfChannel],
-    untrue: Floats,
-    moved: float,
+    effect: CalibrationEffect, own: Relation, others: list[_OfChannel], untrue: Floats, moved: float
 ) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
@@ -376,7 +360,7 @@ def _at_most(
         (0.0, effect.of_force_scale(1.0 + untrue)),
         (moved, 0.0),
     ]
-    for channel, of, scale, lag in relations:
+    for channel, of, scale, lag in others:
         if channel == "acceleration":
             one, late = np.eye(len(off)), of.lag - lag
             effects.append((effect.of_scale(one + of.scale - np.diag(scale)), 0.0))
@@ -400,7 +384,7 @@ def _drifts(
     for name, half in halves.items():
         if half.stop - half.start < _FEWEST:
             return
-        zero, error = acceleration_zero(x[half], a[half], dt)
+        zero, error = channel_estimates.acceleration_zero(x[half], a[half], dt)
         of_zero = effect.within(half).of_zero(none, significant(zero, error))
         yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
@@ -421,19 +405,17 @@ def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Ite
     whose force jumps from sample to sample, and where no actuator is known. A velocity that is
     derived from the displacement is no channel.
     """
-    expected = expected_relations(experiment, frequency)
+    expected = channel_estimates.expected_relations(experiment, frequency)
     if expected is None or experiment["reference_force"]["actuator.kind"] in FORCE_DRIVEN:
         return
     x, v, a, _ = np.moveaxis(samples, 1, 0)
     dt, w = experiment.timebase.dt, 2 * np.pi * frequency
-    channels = [("velocity", v)] * (
-        experiment["reference_force"]["sensors.velocity"] != "derived"
-    ) + [("acceleration", a)]
-    for channel, y in channels:
-        order = 1 if channel == "velocity" else 2
+    derived = experiment["reference_force"]["sensors.velocity"] == "derived"
+    channels = (1, "velocity", v), (2, "acceleration", a)
+    for order, channel, y in channels[1:] if derived else channels:
         own = expected[order - 1]
         unsure = FOLDED * np.abs(own - 1.0)
-        if (found := relation(y, x, order, dt, frequency, unsure)) is not None:
+        if (found := channel_estimates.relation(y, x, order, dt, frequency, unsure)) is not None:
             yield channel, found, np.abs(own), -np.angle(own) / w
 
 
@@ -461,13 +443,11 @@ def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
     if own is None or known is None:
         return own or known
 
-    def mean(
-        one: Floats, one_error: Floats, two: Floats, two_error: Floats
-    ) -> tuple[Floats, Floats]:
-        alike = np.abs(one - two) <= ALIKE * np.hypot(one_error, two_error)
-        p, q = one_error**-2, two_error**-2
-        both, error = (p * one + q * two) / (p + q), (p + q) ** -0.5
-        return np.where(alike, both, one), np.where(alike, error, one_error)
+    def mean(a: Floats, of_a: Floats, b: Floats, of_b: Floats) -> tuple[Floats, Floats]:
+        alike = np.abs(a - b) <= ALIKE * np.hypot(of_a, of_b)
+        p, q = of_a**-2, of_b**-2
+        both, error = (p * a + q * b) / (p + q), (p + q) ** -0.5
+        return np.where(alike, both, a), np.where(alike, error, of_a)
 
     return Relation(
         *mean(own.scale, own.scale_error, known.scale, known.scale_error),

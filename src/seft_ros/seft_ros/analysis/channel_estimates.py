@@ -245,9 +245,8 @@ def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Fl
     frequency = motion_frequency(samples)
     section = experiment.sections.get("reference_force", {})
     idealised = section.get("actuator.kind") in FORCE_DRIVEN
-    expected = None
-    if frequency > 0 and not idealised:
-        expected = expected_relations(experiment, frequency)
+    known = frequency > 0 and not idealised
+    expected = expected_relations(experiment, frequency) if known else None
     if expected is None:
         return samples
     own, a, dt = expected[1], samples[:, ACCELERATION], experiment.timebase.dt

@@ -6,13 +6,7 @@ from typing import Any
 
 import numpy as np
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.wire.topics import (
-    ESTIMATES,
-    LOOP_TOPICS,
-    NANOSECONDS_PER_SECOND,
-    REFERENCE_FORCE,
-    TARGET,
-)
+from seft_msgs_py.wire import topics
 
 from seft_ros.analysis.metrics import common_steps, nrmse, peak
 from seft_ros.analysis.result_text import title_of
@@ -51,31 +45,29 @@ def compare_recordings(a: Recording, b: Recording) -> dict[str, Any]:
         ("axes are", ", ".join(one.axes), ", ".join(other.axes)),
     ):
         if x != y:
-            raise InputError(
-                f"the tests can't be compared: the {what} {x} in the first and {y} in the second"
-            )
-    topics: dict[str, Any] = {}
+            differ = f"the {what} {x} in the first and {y} in the second"
+            raise InputError(f"the tests can't be compared: {differ}")
+    by_topic: dict[str, Any] = {}
     differences: list[dict[str, Any]] = []
     for topic, fields, series_a, series_b in _pairs(a, b):
-        figures, found = _compare_topic(fields, one.axes, series_a, series_b)
+        figures, apart = _compare_topic(fields, one.axes, series_a, series_b)
         counts = {"samples_a": len(series_a.steps), "samples_b": len(series_b.steps)}
-        topics[topic] = {**counts, "identical": not found, **figures}
-        differences += ({"topic": topic, **difference} for difference in found)
+        by_topic[topic] = {**counts, "identical": not apart, **figures}
+        differences += ({"topic": topic, **difference} for difference in apart)
     of_values = [difference for difference in differences if difference["field"] is not None]
     first, first_value = (
         min(some, key=lambda difference: difference["step"], default=None)
         for some in (differences, of_values)
     )
-    return json_safe(
-        {
-            "identical": first is None,
-            "first_difference": first,
-            "first_value_difference": first_value,
-            "missed": {"a": a.missed, "b": b.missed},
-            "length_s": {"a": length_s(a), "b": length_s(b)},
-            "topics": topics,
-        }
-    )
+    found = {
+        "identical": first is None,
+        "first_difference": first,
+        "first_value_difference": first_value,
+        "missed": {"a": a.missed, "b": b.missed},
+        "length_s": {"a": length_s(a), "b": length_s(b)},
+        "topics": by_topic,
+    }
+    return json_safe(found)
 
 
 def describe_bag(path: str, recording: Recording) -> dict[str, Any]:
@@ -98,23 +90,23 @@ def length_s(recording: Recording) -> float:
     states = recording.states
     every = [states] if len(states.steps) else list(recording.series.values())
     last = max((int(series.steps[-1]) for series in every if len(series.steps)), default=0)
-    return recording.experiment.timebase.stamp_ns(last) / NANOSECONDS_PER_SECOND
+    return recording.experiment.timebase.stamp_ns(last) / topics.NANOSECONDS_PER_SECOND
 
 
 def _pairs(a: Recording, b: Recording) -> Iterator[tuple[str, Sequence[str], Series, Series]]:
     """Topic, its fields, and the samples in either recording."""
-    for topic in LOOP_TOPICS:
+    for topic in topics.LOOP_TOPICS:
         one, other = a.series[topic.name], b.series[topic.name]
         quantities = topic.quantities
-        if topic == REFERENCE_FORCE:  # with target_motion the target's motion comes before it
+        if topic == topics.REFERENCE_FORCE:  # with target_motion after the target's motion
             count = min(one.values.shape[1], other.values.shape[1])
-            quantities = TARGET.quantities[-count:]
+            quantities = topics.TARGET.quantities[-count:]
             one, other = (replace(s, values=s.values[:, -count:]) for s in (one, other))
         yield topic.name, quantities, one, other
     found = [recording.estimates for recording in (a, b)]
     names = tuple(dict.fromkeys(name for some in found if some for name in some.names))
     if names:
-        yield ESTIMATES.name, names, _estimates(a, names), _estimates(b, names)
+        yield topics.ESTIMATES.name, names, _estimates(a, names), _estimates(b, names)
 
 
 def _estimates(recording: Recording, names: Sequence[str]) -> Series:

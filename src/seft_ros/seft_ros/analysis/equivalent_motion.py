@@ -103,10 +103,8 @@ class EquivalentMotion:
         from scipy.signal import lsim  # 20 MB that others need not have
 
         n, q, computed = len(self.mass), self._computed.internal, self._computed
-        k, c = (
-            np.linalg.solve(computed.mass[n:, n:], matrix[n:])
-            for matrix in (computed.stiffness, computed.damping)
-        )
+        mass = computed.mass[n:, n:]
+        k, c = (np.linalg.solve(mass, y[n:]) for y in (computed.stiffness, computed.damping))
         pull = np.hstack([computed.stiffness[:n, n:], computed.damping[:n, n:]])
         driven = computed.influence @ self._inverse
         a = np.vstack([np.eye(q, 2 * q, q), driven @ pull - np.hstack([k[:, n:], c[:, n:]])])

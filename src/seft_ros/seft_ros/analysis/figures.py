@@ -111,11 +111,9 @@ def comparison_figure(
         overlay.set_ylabel(axis_label(name), color=style.TEXT)
         below.set_ylabel(f"difference\n/ {unit}", color=style.TEXT)
     first = comparison["first_difference"]
-    if first is not None:
-        time = first["step"] * dt
-        _frame(panels, time, f"first difference: {first['topic']}, {time:g} s")
-    else:
-        _frame(panels)
+    time = None if first is None else first["step"] * dt
+    label = "" if first is None else f"first difference: {first['topic']}, {time:g} s"
+    _frame(panels, time, label)
     panels[-1].set_xlabel("time / s", color=style.TEXT)
     axis = a.experiment.axes[0]
     style.finish(figure, panels[:1], f"axis {axis}: difference from {names[0]}")

@@ -20,13 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
-from seft_ros.analysis.channel_estimates import (
-    OF_SAMPLING,
-    Relation,
-    derivatives,
-    noise_of,
-    summed_covariance,
-)
+from seft_ros.analysis import channel_estimates
 from seft_ros.reference_force.restoring_model import STANDS_OUT, stop_operators
 
 INERTIA_BAND = 8.0
@@ -60,7 +54,7 @@ _RIDGE = 1e-6  # of the law's regressors, which may be alike
 
 def inertia(
     states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
-) -> Relation | None:
+) -> channel_estimates.Relation | None:
     """Estimate the mass from a test's own samples, Eq. (1).
 
     Parameters
@@ -80,15 +74,15 @@ def inertia(
         None if too few windows move by more than the noise, or the regressors are alike.
     """
     x, v, a, f = np.moveaxis(states, 1, 0)
-    top = min(INERTIA_BAND * frequency, OF_SAMPLING / dt)
+    top = min(INERTIA_BAND * frequency, channel_estimates.OF_SAMPLING / dt)
     half = 3.5 / top
     if len(x) < 6 * half / dt:
         return None
     every = max(1, int(0.4 / (top * dt)))  # no higher frequency is left
-    band, noise = (0.0, top), noise_of(x)
-    by_spring = x @ deformation.T
-    laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noise_of(by_spring), strict=True)]
-    n = x.shape[1]
+    band, noise = (0.0, top), channel_estimates.noise_of(x)
+    by_spring, n = x @ deformation.T, x.shape[1]
+    noises = channel_estimates.noise_of(by_spring)
+    laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noises, strict=True)]
     share = np.eye(n)
     if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
         share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
@@ -96,7 +90,7 @@ def inertia(
         laws = [np.hstack(laws)] * n
 
     def filtered(y: Floats, *orders: int) -> list[Floats]:
-        return [one[::every] for one in derivatives(y, orders, band, dt, half)]
+        return [one[::every] for one in channel_estimates.derivatives(y, orders, band, dt, half)]
 
     own = [*filtered(f, 0), *filtered(a @ mass.T, 0, 1), *filtered(v @ mass.T, 1, 2)]
     (travel,) = filtered(x, 0)
@@ -119,9 +113,8 @@ def inertia(
     factor = value[0]
     if not np.isfinite(each).all() or (factor <= 0).any():
         return None
-    return Relation(
-        factor, np.maximum(error[0], MIN_ERROR * factor), -value[1] / factor, error[1] / factor
-    )
+    masses = factor, np.maximum(error[0], MIN_ERROR * factor)
+    return channel_estimates.Relation(*masses, -value[1] / factor, error[1] / factor)
 
 
 def law_regressors(e: Floats, noise: float) -> Floats:
@@ -231,4 +224,4 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
         scores = np.linalg.solve(normal, scores.T).T
     except np.linalg.LinAlgError:
         return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
-    return found, np.sqrt(np.diag(summed_covariance(scores, MEMORY)))
+    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))

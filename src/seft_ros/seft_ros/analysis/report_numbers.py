@@ -13,17 +13,10 @@ from seft_msgs_py.wire.topics import GROUND_MOTION, REFERENCE_FORCE, VALVE_COMMA
 from seft_plant_sim.simulated.specimen import EnergyBalance
 from seft_plant_sim.whole_structure import ReferenceResponse, is_simulated
 
+from seft_ros.analysis import summary as numbers
 from seft_ros.analysis.assessment import BY_TRUTH, IN_LABORATORY, Assessment, assess_test
 from seft_ros.analysis.equivalent_motion import MotionDifference, motion_difference
 from seft_ros.analysis.metrics import common_steps
-from seft_ros.analysis.summary import (
-    COMPARED,
-    ENERGIES,
-    assessed_part,
-    balance_of,
-    reference_of,
-    summarise,
-)
 from seft_ros.bags.recording import Recording, Series, every_step
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.stability_margins import instability_band
@@ -144,10 +137,10 @@ class Report:
 
 def report_numbers(recording: Recording) -> Report:
     """Analyse a test; an InputError is that of `reference_of`."""
-    reference = reference_of(recording)
-    assessed, exact = assessed_part(recording, reference)
-    balance, difference = balance_of(assessed), motion_difference(assessed)
-    summary = summarise(recording, reference, balance, difference)
+    reference = numbers.reference_of(recording)
+    assessed, exact = numbers.assessed_part(recording, reference)
+    balance, difference = numbers.balance_of(assessed), motion_difference(assessed)
+    summary = numbers.summarise(recording, reference, balance, difference)
     energies = _thinned(balance)
     del balance  # as long as the recording, and drawn from a few points
     spectra = {name: _spectra(assessed, exact, name) for name in ("force", "acceleration")}
@@ -179,9 +172,8 @@ def _in_band(experiment: Experiment, accelerations: _Spectra) -> tuple[dict[str,
         "ratio": max((ratio for ratio in ratios if ratio is not None), default=None),
         "axes": dict(zip(experiment.axes, ratios, strict=True)),
     }
-    return {"instability_band_hz": band and list(band), "vibration": of_axes}, (
-        "" if band else note
-    )
+    found = {"instability_band_hz": band and list(band), "vibration": of_axes}
+    return found, "" if band else note
 
 
 def _seen(recording: Recording, summary: dict[str, Any]) -> dict[str, Any]:
@@ -193,12 +185,13 @@ def _seen(recording: Recording, summary: dict[str, Any]) -> dict[str, Any]:
     known = ("rate", "axes", "calibration.")
     sections["rig"] = {name: own for name, own in sections["rig"].items() if name.startswith(known)}
     as_seen = replace(recording, experiment=Experiment(sections))
-    accelerations = _spectra(as_seen, reference_of(as_seen), "acceleration")
+    accelerations = _spectra(as_seen, numbers.reference_of(as_seen), "acceleration")
     return seen | _in_band(as_seen.experiment, accelerations)[0]
 
 
 def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
-    energies = {} if balance is None else {name: getattr(balance, name) for name in ENERGIES}
+    parts = () if balance is None else numbers.ENERGIES
+    energies = {name: getattr(balance, name) for name in parts}
     places = {name: thinned(energy) for name, energy in energies.items() if np.any(energy)}
     return {name: (at, energies[name][at]) for name, at in places.items()}
 
@@ -206,7 +199,7 @@ def _thinned(balance: EnergyBalance | None) -> dict[str, tuple[Ints, Floats]]:
 def _spectra(recording: Recording, reference: ReferenceResponse | None, name: str) -> _Spectra:
     states, dt = recording.states, recording.experiment.timebase.dt
     every = np.arange(states.steps[-1] + 1) if len(states.steps) else states.steps
-    measured = every_step(states, every)[:, COMPARED[name]]
+    measured = every_step(states, every)[:, numbers.COMPARED[name]]
     exact = None if reference is None else getattr(reference, name)
     return [
         (spectrum_of(y, dt), None if exact is None else spectrum_of(exact[:, column], dt))

@@ -189,10 +189,9 @@ def _loss_rows(summary: dict[str, Any], recording: Recording) -> list[list[str]]
     stalls = summary["timing"] and summary["timing"]["stalls"]
     if stalls:
         share = percent(stalls["count"] / max(stalls["beats"], 1))
-        text = (
-            f"{stalls['count']} of {stalls['beats']} wake-ups ({share}) more than "
-            f"{stalls['late_s'] * 1e3:.3f} ms late, the worst by {stalls['longest_s'] * 1e3:.3f} ms"
-        )
+        late, worst = (f"{stalls[key] * 1e3:.3f} ms" for key in ("late_s", "longest_s"))
+        count = f"{stalls['count']} of {stalls['beats']} wake-ups ({share})"
+        text = f"{count} more than {late} late, the worst by {worst}"
         rows.append(["host scheduling stalls, as a process that only slept saw them", text])
         if missed:
             text = f"{stalls['missed_in_a_stall']} of the {stalls['missed_listed']} listed"

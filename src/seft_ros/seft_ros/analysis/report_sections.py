@@ -43,6 +43,10 @@ _TRACKING = (
     Number("NRMSE", "nrmse", form=percent),
     Number("peak error over the peak", "peak_error", form=percent),
 )
+_LINES = (
+    "Dashed: natural frequencies of the whole structure. Shaded: from "
+    f"1/{BAND_MARGIN:g} of the lowest to {BAND_MARGIN:g} times the highest; there both must agree."
+)
 _GROUND_MOTION = (
     Number("response of the linear whole structure differs by", "response_nrmse", form=percent),
     Number("its natural frequencies", "modes"),
@@ -64,10 +68,8 @@ def ground_motion(report: Report) -> Iterator[Block]:
         yield Text(_UNKNOWN)
         return
     numbers, target = (report.summary[key] for key in ("equivalent_motion", "tracking_error"))
-    modes = [
-        f"{hz:.3g} Hz ({percent(ratio)} damping)"
-        for hz, ratio in zip(difference.natural_hz, difference.damping, strict=True)
-    ]
+    pairs = zip(difference.natural_hz, difference.damping, strict=True)
+    modes = [f"{hz:.3g} Hz ({percent(ratio)} damping)" for hz, ratio in pairs]
     some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
     rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
     yield Text(_TESTED)
@@ -79,12 +81,8 @@ def ground_motion(report: Report) -> Iterator[Block]:
         page.band(panel, *difference.band_hz, color=style.REFERENCE)
         for natural in difference.natural_hz:
             page.mark(panel, natural)
-        caption = (
-            f"Response spectrum (5 % damping){f' of {axis}' if len(axes) > 1 else ''}. Dashed: "
-            f"natural frequencies of the whole structure. Shaded: from 1/{BAND_MARGIN:g} of the "
-            f"lowest to {BAND_MARGIN:g} times the highest; there both must agree."
-        )
-        yield Plot(panel, caption)
+        of = f" of {axis}" if len(axes) > 1 else ""
+        yield Plot(panel, f"Response spectrum (5 % damping){of}. {_LINES}")
 
 
 def history_sections(report: Report, column: int, title: str) -> Iterator[PageSection]:

@@ -221,10 +221,8 @@ def _sample_counts(comparison: dict[str, Any]) -> Iterator[str]:
     """Say of each topic on which samples are missing how many either recording has."""
     for topic, row in comparison["topics"].items():
         if row["missing_a"] or row["missing_b"]:
-            yield (
-                f"{topic}: {row['samples_a']} samples in a and {row['samples_b']} in b, "
-                f"{row['missing_a']} not in a, {row['missing_b']} not in b"
-            )
+            counts = f"{row['samples_a']} samples in a and {row['samples_b']} in b"
+            yield f"{topic}: {counts}, {row['missing_a']} not in a, {row['missing_b']} not in b"
 
 
 def _differences(comparison: dict[str, Any]) -> list[str]:

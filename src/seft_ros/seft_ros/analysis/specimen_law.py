@@ -166,18 +166,12 @@ class SpecimenLaw:
         inverse = np.linalg.inv(mass + 0.5 * dt * damping + stiff)
         keeps = inverse @ (mass - 0.5 * dt * damping + stiff)
         push = -dt * self._whole.motion(change) @ (inverse @ mass).T
-        moved = np.zeros((len(change), structure.axes))
-        p = len(self._springs)
-        _differ(
-            self._e,
-            np.pad(self._springs, [(0, 0), inside[0]]),
-            (self._thresholds, self._slopes, self._curve, self._low, self._step),
-            (keeps, dt * inverse @ computed.stiffness, dt * inverse),
-            push,
-            dt,
-            moved,
-            (np.zeros((2, p, STOP_OPERATORS)), np.zeros((2, p)), np.zeros((2, structure.axes))),
-        )
+        moved, p = np.zeros((len(change), structure.axes)), len(self._springs)
+        springs = np.pad(self._springs, [(0, 0), inside[0]])
+        law = self._thresholds, self._slopes, self._curve, self._low, self._step
+        linear = keeps, dt * inverse @ computed.stiffness, dt * inverse
+        work = np.zeros((2, p, STOP_OPERATORS)), np.zeros((2, p)), np.zeros((2, structure.axes))
+        _differ(self._e, springs, law, linear, push, dt, moved, work)
         moved = moved[:, : change.shape[1]]
         moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
         return ratio(moved_rms, whole_rms)
@@ -216,9 +210,8 @@ def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float
     thresholds = np.append(thresholds, thresholds[-1] * np.arange(1, _EVEN) / _EVEN)
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
     stops = stop_operators(deformation, thresholds)[here] / thresholds
-    linear = (
-        one[here] / (np.sqrt(np.mean(one[here] ** 2)) + 1e-300) for one in (rate, deformation)
-    )
+    motion = rate[here], deformation[here]
+    linear = (one / (np.sqrt(np.mean(one**2)) + 1e-300) for one in motion)
     law, y = _regressors(stops, place[here], _CORNERS, *linear), force[here]
     power, begin = _best_onset(law, y)
     time, at = np.arange(count), here.step * begin

@@ -10,6 +10,7 @@ from seft_msgs_py.config.parameter_table import group
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import RIG, ZEROED
+from seft_plant_sim import whole_structure
 from seft_plant_sim.calibration import biases_of_all, check_biases
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 from seft_plant_sim.computed.computed_model import ModelError
@@ -19,12 +20,7 @@ from seft_plant_sim.judge.detectors import detectors_of
 from seft_plant_sim.judge.guard import DRIVE_ROW
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.simulated.specimen import EnergyBalance, energy_balance
-from seft_plant_sim.whole_structure import (
-    ReferenceResponse,
-    is_simulated,
-    reference_response,
-    tested_specimen,
-)
+from seft_plant_sim.whole_structure import ReferenceResponse
 
 from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.calibration_check import calibration_check
@@ -91,7 +87,7 @@ def summarise(
         for column, axis in enumerate(axes)
     }
     difference = difference or equivalent_motion.motion_difference(assessed)
-    simulated = is_simulated(recording.experiment)
+    simulated = whole_structure.is_simulated(recording.experiment)
     found = {
         **_outcome(recording),
         "judged_steps": _steps(assessed),
@@ -198,16 +194,14 @@ def reference_of(recording: Recording) -> ReferenceResponse | None:
     if not whole or "reference_force" not in recording.experiment.sections:
         return None
     try:
-        return reference_response(recording.experiment, motion.values[:count, 0, :])
+        return whole_structure.reference_response(recording.experiment, motion.values[:count, 0, :])
     except ModelError:
         if recording.trip is None:
             raise
         return None  # the test has failed of the same
     except KeyError as error:
-        raise InputError(
-            f"the structure is not known: its description lacks {error.args[0]}; was it "
-            "recorded with another version?"
-        ) from None
+        lacks = f"its description lacks {error.args[0]}; was it recorded with another version?"
+        raise InputError(f"the structure is not known: {lacks}") from None
 
 
 def balance_of(recording: Recording) -> EnergyBalance | None:
@@ -221,7 +215,7 @@ def balance_of(recording: Recording) -> EnergyBalance | None:
     if not whole or not np.isfinite(states.values).all():
         return None
     try:
-        specimen = tested_specimen(recording.experiment)
+        specimen = whole_structure.tested_specimen(recording.experiment)
     except KeyError:
         return None
     displacement, velocity, _, force = np.moveaxis(states.values, 1, 0)

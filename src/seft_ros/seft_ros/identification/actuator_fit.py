@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import OptimizeResult, least_squares, nnls
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.judge.valve_model import ValveModel
 
@@ -271,16 +271,13 @@ class ActuatorFit:
         if self.verdict != "not usable":
             return ""
         if self.explained < MIN_EXPLAINED:
-            return (
-                f"commands explain {max(self.explained, 0.0):.0%} of the flow's variance, where "
-                f"{MIN_EXPLAINED:.0%} are needed; raise --amplitude or --duration, and check "
-                "that the oil is on and that displacement, acceleration and force have SI units"
-            )
+            share = f"{max(self.explained, 0.0):.0%} of the flow's variance"
+            check = "the oil is on and that displacement, acceleration and force have SI units"
+            mend = f"raise --amplitude or --duration, and check that {check}"
+            return f"commands explain {share}, where {MIN_EXPLAINED:.0%} are needed; {mend}"
         pair = "displacement against command" if self.flow_gain <= 0 else "force against motion"
-        return (
-            f"the sign of {pair} is wrong; check the polarity of the sensors and the valve, and "
-            "that no channel has a filter of its own"
-        )
+        check = "check the polarity of the sensors and the valve"
+        return f"the sign of {pair} is wrong; {check}, and that no channel has a filter of its own"
 
 
 def fit_actuator(oil: OilBalance) -> ActuatorFit:
@@ -343,17 +340,20 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
     for _ in range(2):
         power, flow = oil.left(p, deviation)
         deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
-        found = least_squares(
-            errors,
-            p[free],
-            bounds=(_LOWEST[free], _HIGHEST[free]),
-            x_scale=_SCALE[free],
-            ftol=1e-6,
-            max_nfev=_MOST_STEPS,
-            args=(deviation,),
-        )
+        found = _least_squares(errors, p[free], 1e-6, deviation)
         p = np.append(found.x, p[len(found.x) :])
     return p, deviation, found.jac
+
+
+def _least_squares(
+    errors: Callable[..., Floats], start: Floats, tolerance: float, *given: Floats
+) -> OptimizeResult:
+    """Search the first parameters from a start, within their bounds."""
+    free, most = slice(len(start)), _MOST_STEPS
+    bounds, scale = (_LOWEST[free], _HIGHEST[free]), _SCALE[free]
+    return least_squares(
+        errors, start, bounds=bounds, x_scale=scale, ftol=tolerance, max_nfev=most, args=given
+    )
 
 
 def _roughly(oil: OilBalance) -> Floats:
@@ -363,7 +363,6 @@ def _roughly(oil: OilBalance) -> Floats:
     explains the piston's motion, but not the force. So the best fit is the one that explains the
     flow at the most frequencies.
     """
-    free = slice(3)
 
     def whole(found: Floats) -> Floats:
         return np.append(found, [0.0, _OVER, 0.0])
@@ -380,12 +379,7 @@ def _roughly(oil: OilBalance) -> Floats:
     for hz in _VALVES:
         starts = [np.array([math.log(hz), _DAMPING, dead_time]) for dead_time in _DEAD_TIMES]
         start = min(starts, key=lambda found: float(np.sum(errors(found) ** 2)))
-        bounds = _LOWEST[free], _HIGHEST[free]
-        scale = _SCALE[free]
-        fit = least_squares(
-            errors, start, bounds=bounds, x_scale=scale, ftol=1e-4, max_nfev=_MOST_STEPS
-        )
-        best.append(whole(fit.x))
+        best.append(whole(_least_squares(errors, start, 1e-4).x))
     found = min(best, key=unexplained)
     found[3] = _LOAD
     return found

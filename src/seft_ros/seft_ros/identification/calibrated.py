@@ -12,33 +12,18 @@ from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.config.parameter_table import Section, per_axis
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND, of_one_rig
-from seft_plant_sim.calibration import (
-    NOTHING_KNOWN,
-    SIGNIFICANT,
-    TILT,
-    aligned_to,
-    calibrate_all,
-    calibration_of,
-    known_channels,
-    lacking,
-    significant,
-)
+from seft_plant_sim import calibration
+from seft_plant_sim.calibration import NOTHING_KNOWN, SIGNIFICANT, TILT, significant
 from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of, velocity_is_derived
 from seft_plant_sim.rig_parameters import common_filter
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.style import TextTable
 from seft_ros.ground_motion.conditioning import moved_ahead
+from seft_ros.identification import multisine_estimates as estimates
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
 from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
-from seft_ros.identification.multisine_estimates import (
-    Harmonics,
-    MultisineFit,
-    fit_multisine,
-    harmonics,
-    tilt_shown,
-)
 from seft_ros.identification.rig_tests import frequency_response, known_mass, motion_spectra
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
@@ -73,7 +58,7 @@ class Calibrated:
 
     @classmethod
     def of_multisine(
-        cls, fit: MultisineFit, filters: ChannelFilters, experiment: Experiment
+        cls, fit: estimates.MultisineFit, filters: ChannelFilters, experiment: Experiment
     ) -> "Calibrated":
         """Combine a multisine test with the calibration of its own experiment."""
         section = experiment["reference_force"]
@@ -99,9 +84,7 @@ class Calibrated:
         whole["lag"] = whole["lag"] + earliest
         common = float(known["lag"].max() + lag.max()) + earliest
         found = {"scale": scale, "lag": lag, "bias": bias, "tilt": tilt}
-        is_other = (passed["filter"] != known["filter"]) | (
-            passed["filter_damping"] != known["filter_damping"]
-        )
+        is_other = np.any([own != known[what] for what, own in passed.items()], axis=0)
         for what, own in passed.items():
             found[what] = np.where(is_other, own, NOTHING_KNOWN[what])
         calibrated = cls(found, whole, common, derived)
@@ -131,10 +114,10 @@ class Calibrated:
         lag = self.found["lag"]
         nothing = {what: np.full_like(lag, NOTHING_KNOWN[what]) for what in ("lag", *_FILTER)}
         section = _parameters(self.found | nothing, False)
-        known, state = calibration_of(section, axes, range(len(axes)), dt)
+        known, state = calibration.calibration_of(section, axes, range(len(axes)), dt)
         recording, values = as_measured(recording), _samples(recording).copy()
         if len(known.scale):
-            calibrate_all(known, state, values)
+            calibration.calibrate_all(known, state, values)
         line = np.linspace(values[0], values[-1], len(values))
         flat, lead = (values - line).reshape(len(values), -1), (lag - lag.max()).ravel()
         passed = self._passed(recording.experiment)
@@ -167,12 +150,12 @@ _FILTER = "filter", "filter_damping"
 def as_told(experiment: Experiment) -> Callable[[Floats], Complexes]:
     """Response of what a test passes its channels through, beside waits, shape (..., 4, n)."""
     dt, n = experiment.timebase.dt, len(experiment.axes)
-    known = aligned_to(experiment["reference_force"], experiment.axes, range(n))
+    known = calibration.aligned_to(experiment["reference_force"], experiment.axes, range(n))
 
     def response(w: Floats) -> Complexes:
         passed, z = np.ones((*w.shape, 4, n), complex), np.exp(-1j * w * dt)
         for row, i in zip(*np.nonzero(known.lacks), strict=True):
-            taps = lacking(known.filters[:, row, i], known.common, dt)
+            taps = calibration.lacking(known.filters[:, row, i], known.common, dt)
             numerator, denominator = (np.polyval(part[::-1], z) for part in taps)
             passed[..., row, i] = numerator / denominator
         return passed
@@ -191,7 +174,8 @@ def as_measured(recording: Recording) -> Recording:
 def all_known(experiment: Experiment) -> dict[str, Floats]:
     """Give what an experiment tells of the channels, as `Calibrated.whole` is."""
     section, axes = experiment["reference_force"], experiment.axes
-    return known_channels(section, axes) | {"tilt": tilt_of(section, axes, range(len(axes)), TILT)}
+    tilt = tilt_of(section, axes, range(len(axes)), TILT)
+    return calibration.known_channels(section, axes) | {"tilt": tilt}
 
 
 def _is_tilted(tilt: Floats) -> bool:
@@ -236,7 +220,7 @@ class MultisineResult:
 
     multisine: Multisine
     largest: dict[str, float]
-    fit: MultisineFit
+    fit: estimates.MultisineFit
     filters: ChannelFilters
     calibrated: Calibrated
     known: Floats
@@ -266,35 +250,31 @@ class MultisineResult:
         InputError
             If the mass does not stand out from its standard errors: friction holds the specimen.
         """
-        samples = _samples(recording)
-        dt = recording.experiment.timebase.dt
-        experiment = recording.experiment
+        experiment, samples = recording.experiment, _samples(recording)
+        dt = experiment.timebase.dt
         filters = filters or ChannelFilters.of(all_known(experiment))
-        of = harmonics(samples, sines, dt).passed(_unfiltered(filters, experiment))
+        of = estimates.harmonics(samples, sines, dt).passed(_unfiltered(filters, experiment))
         late = known.found["lag"] - known.found["lag"].min()
         times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
         dead_time = np.mean(times) - late.max() - known.common_filter[0]
         fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
         derived = velocity_is_derived(experiment["reference_force"])
-        fit = fit_multisine(of, fault_free, derived, tilt_elsewhere)
+        fit = estimates.fit_multisine(of, fault_free, derived, tilt_elsewhere)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
         if least <= SIGNIFICANT * error:
-            raise InputError(
-                f"multisine: the specimen sticks under sines of "
-                f"{1e3 * multisine.travel:.3g} mm: its least "
-                f"mass is {least:.3g} ± {error:.2g} kg; give a larger --travel, so that it slips"
-            )
+            sticks = f"the specimen sticks under sines of {1e3 * multisine.travel:.3g} mm"
+            mend = "give a larger --travel, so that it slips"
+            least_mass = f"its least mass is {least:.3g} ± {error:.2g} kg"
+            raise InputError(f"multisine: {sticks}: {least_mass}; {mend}")
         told = experiment["reference_force"]["calibration.force_scale_error"]
         scale_error = per_axis(told, experiment.axes, "/**: calibration.force_scale_error")
         if weighed:
             fit = fit.weighed(np.array(weighed))
             scale_error = fit.scale_error[FORCE] / fit.scale[FORCE]
-        largest = np.abs(samples).max(axis=(0, 2)).tolist()
+        peaks = dict(zip(CHANNELS, np.abs(samples).max(axis=(0, 2)).tolist(), strict=True))
         calibrated = Calibrated.of_multisine(fit, filters, experiment)
-        peaks = dict(zip(CHANNELS, largest, strict=True))
         mass = known_mass(experiment)
-        weighs = bool(weighed)
-        return cls(multisine, peaks, fit, filters, calibrated, mass, weighs, scale_error)
+        return cls(multisine, peaks, fit, filters, calibrated, mass, bool(weighed), scale_error)
 
     def facts(self) -> Section:
         """Give the calibration, and the mass, with standard errors.
@@ -304,50 +284,36 @@ class MultisineResult:
         """
         fit = self.fit
         damping = {"specimen.damping": _damping_of(fit).ravel().tolist()} if fit.rubs else {}
-        return (
-            damping
-            | self.calibrated.parameters()
-            | {
-                "specimen.mass": significant(fit.mass, fit.mass_error).ravel().tolist(),
-                "specimen.mass_error": fit.mass_error.diagonal().tolist(),
-                "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
-                "calibration.force_scale_error": self.force_scale_error.tolist(),
-            }
-        )
+        mass = {
+            "specimen.mass": significant(fit.mass, fit.mass_error).ravel().tolist(),
+            "specimen.mass_error": fit.mass_error.diagonal().tolist(),
+            "calibration.force_lag_error": fit.lag_error[FORCE].tolist(),
+            "calibration.force_scale_error": self.force_scale_error.tolist(),
+        }
+        return damping | self.calibrated.parameters() | mass
 
     def numbers(self, axes: Sequence[str]) -> dict[str, Any]:
         """Give ``multisine`` of ``seft identify --json``: SI units, errors are standard errors."""
-        fit, every = self.fit, vars(self.fit) | vars(self.filters)
-        by_axis = []
+        every, by_axis = vars(self.fit) | vars(self.filters), list[dict[str, Any]]()
+
+        def of(what: str, *at: int) -> dict[str, float]:
+            return {"value": float(every[what][at]), "error": float(every[f"{what}_error"][at])}
+
         for i, axis in enumerate(axes):
-            channels = {
-                channel: {
-                    what: {
-                        "value": float(every[what][row, i]),
-                        "error": float(every[f"{what}_error"][row, i]),
-                    }
-                    for what in NOTHING_KNOWN
-                }
-                for row, channel in enumerate(CHANNELS)
-            }
-            mass, damping = (
-                {"value": float(every[what][i, i]), "error": float(every[f"{what}_error"][i, i])}
-                for what in ("mass", "damping")
-            )
-            by_axis.append({"axis": axis, "mass": mass, "damping": damping, **channels})
+            by_axis.append({"axis": axis, "mass": of("mass", i, i), "damping": of("damping", i, i)})
+            for row, channel in enumerate(CHANNELS):
+                by_axis[i][channel] = {what: of(what, row, i) for what in NOTHING_KNOWN}
+        matrices = ("mass", "mass_error", "tilt", "tilt_error")
         return {
             "travel": self.multisine.travel,
             "frequencies_hz": self.multisine.frequencies.tolist(),
             "largest": self.largest,
-            "mass": fit.mass.squeeze().tolist(),
-            "mass_error": fit.mass_error.squeeze().tolist(),
-            "tilt": fit.tilt.squeeze().tolist(),
-            "tilt_error": fit.tilt_error.squeeze().tolist(),
+            **{name: every[name].squeeze().tolist() for name in matrices},
             "axes": by_axis,
         }
 
 
-def _damping_of(fit: MultisineFit) -> Floats:
+def _damping_of(fit: estimates.MultisineFit) -> Floats:
     """Damping matrix that feeds no energy, shape (n, n), N s/m."""
     values, vectors = np.linalg.eigh(fit.damping)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
@@ -361,7 +327,7 @@ def _unfiltered(filters: ChannelFilters, experiment: Experiment) -> Callable[[Fl
 
 def _lines(
     recording: Recording, band: tuple[float, float]
-) -> tuple[Harmonics, tuple[float, float]]:
+) -> tuple[estimates.Harmonics, tuple[float, float]]:
     """Cross spectra with the commands of a random test, up to `HIGHEST` times the rate.
 
     They take the place of the sines of a multisine test. Also the band that they cover, Hz.
@@ -382,7 +348,7 @@ def _lines(
     noise = np.moveaxis(deviation, 3, 0).reshape(-1, 4, n)
     w, nothing = np.tile(2 * np.pi * response.frequencies_hz, n), np.zeros_like(noise)
     lines, errors = amplitude[:, np.newaxis], noise[:, np.newaxis]
-    of = Harmonics(w, lines, errors, nothing, nothing[:, 0, 0], nothing[0])
+    of = estimates.Harmonics(w, lines, errors, nothing, nothing[:, 0, 0], nothing[0])
     return of, used
 
 
@@ -419,7 +385,7 @@ def rough_calibration(
     that of ``filters``: at these frequencies friction spoils it.
     """
     of, fault_free, derived = _low_lines(recording, band, filters)
-    fit = fit_multisine(of, fault_free, derived)
+    fit = estimates.fit_multisine(of, fault_free, derived)
     fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
     return Calibrated.of_multisine(fit, filters, recording.experiment)
 
@@ -428,25 +394,24 @@ def tilt_in(
     recording: Recording, band: tuple[float, float], filters: ChannelFilters
 ) -> tuple[Floats, Floats]:
     """Give the tilt in a test by random commands, and its standard errors, shape (n, n) each."""
-    return tilt_shown(*_low_lines(recording, band, filters))
+    return estimates.tilt_shown(*_low_lines(recording, band, filters))
 
 
 def _low_lines(
     recording: Recording, band: tuple[float, float], filters: ChannelFilters
-) -> tuple[Harmonics, Complexes, bool]:
+) -> tuple[estimates.Harmonics, Complexes, bool]:
     """Lines without filters, what a rig without faults shows of them, whether v is derived."""
     experiment, (of, _) = recording.experiment, _lines(recording, band)
     low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
-    of = Harmonics(
-        of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
-    ).passed(_unfiltered(filters, experiment))
+    lines = of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
+    of = estimates.Harmonics(*lines).passed(_unfiltered(filters, experiment))
     derived = velocity_is_derived(experiment["reference_force"])
     return of, np.ones((len(of.w), 2), complex), derived
 
 
 def moved_by(recording: Recording, sines: Sequence[Sine]) -> Floats:
     """Amplitude of the displacement of each sine in a multisine test's recording, shape (m,), m."""
-    of = harmonics(_samples(recording), sines, recording.experiment.timebase.dt)
+    of = estimates.harmonics(_samples(recording), sines, recording.experiment.timebase.dt)
     return np.array([abs(of.amplitude[k, 0, sine.axis]) for k, sine in enumerate(sines)])
 
 
@@ -485,12 +450,8 @@ def multisine_table(result: MultisineResult, axes: Sequence[str]) -> TextTable:
         of_channel = {"scale": ("", 1.0), "lag": ("ms", 1e3), "filter": ("Hz", 1.0)}
         for what, form in (of_channel | {"filter_damping": ("", 1.0), "bias": of_bias}).items():
             if any(one[channel][what]["error"] for one in found):  # it is not the reference
-                rows.append(
-                    [
-                        label + what.replace("_", " "),
-                        *(cell(one[channel][what], *form) for one in found),
-                    ]
-                )
+                cells = (cell(one[channel][what], *form) for one in found)
+                rows.append([label + what.replace("_", " "), *cells])
                 label = "  "
     return TextTable(["multisine", *axes], rows)
 
@@ -501,29 +462,23 @@ _NOT_CORRECTED = "; the axes have their own rigs, and neither can correct it: mo
 def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
     """List what a reader must know about a multisine test, one line each."""
     fit, reference = result.fit, "the weighed mass" if result.is_weighed else "load cell"
-    found = [
-        f"multisine: {reference} and displacement sensor are the reference: masses and scales are "
-        "against them (displacement's if velocity and acceleration agree against it), lags "
-        "against the earliest channel"
-    ]
+    other = "displacement's if velocity and acceleration agree against it"
+    against = f"masses and scales are against them ({other}), lags against the earliest channel"
+    found = [f"multisine: {reference} and displacement sensor are the reference: {against}"]
     if fit.rubs:
-        found.append(
-            "multisine: the specimen rubs or yields, which the open loop takes for damping: "
-            "specimen.damping is the multisine's"
-        )
+        rubs = "the specimen rubs or yields, which the open loop takes for damping"
+        found.append(f"multisine: {rubs}: specimen.damping is the multisine's")
     masses = (each.diagonal() for each in (result.known, fit.mass, fit.mass_error))
     for axis, known, mass, error in zip(axes, *masses, strict=True):
         off = abs(mass - known) > max(SIGNIFICANT * error, SAME_MASS * mass)
         if off and not result.is_weighed:
-            found.append(
-                f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg: if that was weighed, "
-                f"the load cell shows {mass / known:.1%} of the force; then give --known-mass"
-            )
+            shows = f"the load cell shows {mass / known:.1%} of the force; then give --known-mass"
+            differs = f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg"
+            found.append(f"{differs}: if that was weighed, {shows}")
     off = np.abs(fit.tilt - np.eye(len(axes))) > SIGNIFICANT * fit.tilt_error
     for i, j in zip(*np.nonzero(off & ~np.eye(len(axes), dtype=bool)), strict=True):
-        found.append(
-            f"axis {axes[i]}: the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of "
-            f"{axes[j]}: it is tilted"
-            + (f"; {TILT} corrects it" if result.calibrated.found["tilt"][i, j] else _NOT_CORRECTED)
-        )
+        is_known = result.calibrated.found["tilt"][i, j]
+        mend = f"; {TILT} corrects it" if is_known else _NOT_CORRECTED
+        shown = f"the accelerometer shows {fit.tilt[i, j]:.2g} of the acceleration of {axes[j]}"
+        found.append(f"axis {axes[i]}: {shown}: it is tilted{mend}")
     return found

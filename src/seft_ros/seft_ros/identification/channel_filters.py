@@ -138,9 +138,9 @@ def channel_filters(
         force = _of_force(i, w, amplitude, noise, top, mass)
         found.force_lag[i] = force.lag
         for row, one in enumerate(_by_channel(motion[1], None if derived else motion[0], force)):
-            if one is not None:
-                for place, number in enumerate(one.numbers()):
-                    tuple(vars(found).values())[place][row, i] = number
+            numbers = one.numbers() if one is not None else ()
+            for part, number in zip(vars(found).values(), numbers, strict=False):
+                part[row, i] = number
     return found
 
 
@@ -156,10 +156,8 @@ def _by_channel(
     x = next((one for one in seen if one and one.side == NUMERATOR), None)
     own = [one if one and one.side == DENOMINATOR else None for one in seen]
     a, v = (x if one is None else mine for one, mine in zip(seen, own, strict=True))
-    if force.side == NONE:
-        return [x, v, a, a]
-    if force.side == DENOMINATOR:
-        return [x, v, a, force]
+    if force.side != NUMERATOR:
+        return [x, v, a, force if force.side else a]
     if seen[0] is None:  # all have it but the force
         return [force, v or force, force, None]
     return [x, v, force, None]
@@ -217,10 +215,8 @@ def _likeliest(
     ``top`` the highest frequency, rad/s. ``prior`` are values and errors of the first unknowns.
     """
     nothing = np.zeros(0)
-    plain = min(
-        (_fitted(w, y, noises, columns, others, NONE, nothing, prior) for others in ways),
-        key=lambda one: one.left,
-    )
+    fits = (_fitted(w, y, noises, columns, others, NONE, nothing, prior) for others in ways)
+    plain = min(fits, key=lambda one: one.left)
     best: _Found | None = None
     for side, others in zip((DENOMINATOR, NUMERATOR), ways, strict=True):
         for hz in np.geomspace(2 * np.pi * 15.0, top / (2.0 * HIGHEST), _STARTS):

@@ -16,16 +16,8 @@ from seft_plant_sim.simulated.specimen import Specimen
 from seft_ros.bags.recording import Recording
 from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, TextTable, json_safe, look_up, rows_of
+from seft_ros.identification import response_fits
 from seft_ros.identification.actuator_fit import ActuatorFit, OilBalance, fit_actuator
-from seft_ros.identification.response_fits import (
-    GOOD,
-    SpecimenFit,
-    Tracking,
-    TrackingFit,
-    fit_specimen,
-    fit_tracking,
-    tracking_measures,
-)
 from seft_ros.identification.rig_tests import MeasuredTest, Measurement, obeys_displacement
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 
@@ -65,8 +57,8 @@ class ClosedLoop:
     """
 
     measured: Measurement
-    tracking: Tracking
-    fit: TrackingFit
+    tracking: response_fits.Tracking
+    fit: response_fits.TrackingFit
 
 
 @dataclass(frozen=True)
@@ -96,7 +88,7 @@ class Identified:
 
     axes: tuple[str, ...]
     band: tuple[float, float]
-    specimen: SpecimenFit
+    specimen: response_fits.SpecimenFit
     valves: list[ValveResponse]
     closed_loops: list[ClosedLoop]
     unusable: list[str]
@@ -121,21 +113,16 @@ def identify_from_recordings(
     ExperimentError
         If no test is usable.
     """
-    tests: dict[str, MeasuredTest] = {}
-    unusable: list[str] = []
-    faults: list[str] = []
-    for what, recording, option in (
-        (_OPEN_LOOP, open_loop, "--amplitude"),
-        (_CLOSED_LOOP, closed_loop, "--force"),
-    ):
+    tests, unusable, faults = dict[str, MeasuredTest](), list[str](), list[str]()
+    given = (_OPEN_LOOP, open_loop, "--amplitude"), (_CLOSED_LOOP, closed_loop, "--force")
+    for what, recording, option in given:
         if recording is None:
             continue
         test = MeasuredTest(recording, band)
-        if test.at_limit():
-            faults.append(
-                f"{what}: a valve command was at its limit in {test.at_limit()} of {test.steps} "
-                f"steps, which is not linear; lower {option}, or stabilise the loop"
-            )
+        if at_limit := test.at_limit():
+            text = f"a valve command was at its limit in {at_limit} of {test.steps} steps"
+            mend = f"lower {option}, or stabilise the loop"
+            faults.append(f"{what}: {text}, which is not linear; {mend}")
         if incoherent := test.incoherent():
             unusable.append(f"{what}: {incoherent}; raise {option} or --duration")
         else:
@@ -151,7 +138,7 @@ def identify_from_recordings(
                 tests.pop(_OPEN_LOOP, None)
     if not tests:
         raise ExperimentError(unusable[0])
-    specimen = fit_specimen([test.motion() for test in tests.values()])
+    specimen = response_fits.fit_specimen([test.motion() for test in tests.values()])
     opened, closed = tests.get(_OPEN_LOOP), tests.get(_CLOSED_LOOP)
     valves = _valves(opened, specimen, actuators) if opened and not servo else []
     followed = opened if servo and opened else closed
@@ -161,7 +148,7 @@ def identify_from_recordings(
 
 
 def _valves(
-    test: MeasuredTest, specimen: SpecimenFit, actuators: list[ActuatorFit]
+    test: MeasuredTest, specimen: response_fits.SpecimenFit, actuators: list[ActuatorFit]
 ) -> list[ValveResponse]:
     """Combine the fitted actuators with the fitted specimen, the valves of other axes closed."""
     whole, dt, valves = fitted_plant(specimen, actuators), test.dt, []
@@ -177,23 +164,21 @@ def _valves(
 
 
 def fitted_plant(
-    specimen: SpecimenFit, actuators: Sequence[ActuatorFit], motion: bool = False
+    specimen: response_fits.SpecimenFit, actuators: Sequence[ActuatorFit], motion: bool = False
 ) -> Plant:
     """Give the plant of all axes, without dead time; to the forces or to the motion, too."""
     names = ("oil_stiffness", "leakage", "flow_gain", "valve_frequency", "valve_damping")
     known = {name: np.array([getattr(fit, name) for fit in actuators]) for name in names}
-    model = small_signal(
-        Specimen(specimen.mass, specimen.damping, specimen.stiffness),
-        viscous_friction=np.array([fit.drag for fit in actuators]),
-        dead_time=0.0,
-        **known,
-    )
+    known["viscous_friction"] = np.array([fit.drag for fit in actuators])
+    moved = Specimen(specimen.mass, specimen.damping, specimen.stiffness)
+    model = small_signal(moved, dead_time=0.0, **known)
     return Plant.of_model("identified", model, motion)
 
 
 def _loops(test: MeasuredTest, servo: bool) -> list[ClosedLoop]:
     """Measure the closed loop, or the displacement servo, of every axis, and fit it."""
-    floor, least, good = _FLOOR, test.dt, GOOD  # a force's dead time has the loop's latency in it
+    # a force's dead time has the loop's latency in it
+    floor, least, good = _FLOOR, test.dt, response_fits.GOOD
     if servo:
         floor, least, good = _SERVO_FLOOR, 0.0, _SERVO_FLOOR
     loops = []
@@ -203,8 +188,8 @@ def _loops(test: MeasuredTest, servo: bool) -> list[ClosedLoop]:
         # a pole beyond the coherent frequencies would be arbitrary
         known = slice(0, int(np.flatnonzero(measured.coherence >= _COHERENT)[-1]) + 1)
         weight = 1.0 / np.hypot(measured.deviation, floor)[known]
-        fit = fit_tracking(f[known], response[known], weight, least, good)
-        loops.append(ClosedLoop(measured, tracking_measures(f, response), fit))
+        fit = response_fits.fit_tracking(f[known], response[known], weight, least, good)
+        loops.append(ClosedLoop(measured, response_fits.tracking_measures(f, response), fit))
     return loops
 
 
@@ -283,9 +268,8 @@ def write_model(identified: Identified, path: Path, source: str, known: Section)
     if identified.has_servos:
         comments.append("actuator.response: of the displacement servos, with this specimen")
     elif identified.closed_loops:
-        comments.append(
-            f"actuator.delay and .response: with this specimen, of axis {identified.axes[0]}"
-        )
+        of = f"with this specimen, of axis {identified.axes[0]}"
+        comments.append(f"actuator.delay and .response: {of}")
     write_parameter_file(path, {EVERY_NODE: known}, comments, replace=True)
 
 
@@ -380,10 +364,8 @@ def notes(identified: Identified) -> list[str]:
     """List what a reader must know about the numbers, one line each."""
     found = [*identified.unusable, *identified.faults]
     if identified.valves:
-        found.append(
-            "actuator.* describes the actuators and holds for any specimen (actuator.delay and "
-            "actuator.response.* hold for this specimen)"
-        )
+        others = "actuator.delay and actuator.response.* hold for this specimen"
+        found.append(f"actuator.* describes the actuators and holds for any specimen ({others})")
     elif not identified.has_servos:
         found.append("no good test of a valve, so actuators are not known")
     for axis, valve in zip(identified.axes, identified.valves, strict=False):
@@ -391,14 +373,12 @@ def notes(identified: Identified) -> list[str]:
         if actuator.unsure:
             found.append(f"axis {axis}: the test shows poorly: {', '.join(actuator.unsure)}")
         if not actuator.force_capacity:
-            found.append(
-                f"axis {axis}: forces to {actuator.largest_force:.3g} N are too small to show the "
-                "force capacity, which stays as configured (0: no effect); raise --amplitude for it"
-            )
+            small = f"forces to {actuator.largest_force:.3g} N are too small"
+            stays = "which stays as configured (0: no effect); raise --amplitude for it"
+            found.append(f"axis {axis}: {small} to show the force capacity, {stays}")
     if not identified.closed_loops:
-        found.append(
-            "no good closed-loop test: actuator.response.*, which other methods need, is not known"
-        )
+        lacks = "actuator.response.*, which other methods need, is not known"
+        found.append(f"no good closed-loop test: {lacks}")
     return found
 
 
@@ -409,7 +389,7 @@ def _of_axis(identified: Identified, index: int) -> dict[str, Any]:
         "actuator": valve and _of_actuator(valve.actuator),
         **_of_plant(valve.plant if valve else None),
         "fit_error": valve and valve.error,
-        **asdict(closed.tracking if closed else Tracking()),
+        **asdict(closed.tracking if closed else response_fits.Tracking()),
         "tracking_fit_error": closed and closed.fit.error,
         "coherence": {
             "open_loop": valve and _coherence(valve.measured),

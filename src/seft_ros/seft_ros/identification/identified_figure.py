@@ -92,11 +92,9 @@ def _draw_tracking(panel: Axes, closed: ClosedLoop) -> None:
     measured, tracking = closed.measured, closed.tracking
     f = measured.frequencies_hz
     panel.axhspan(-FLATNESS_DB, FLATNESS_DB, color=SECOND, alpha=0.12, lw=0)
-    for response, style in (
-        (measured.response, {"color": SECOND, "lw": 1.0, "label": "measured"}),
-        (closed.fit.model.response(f), {**_LINE, "label": "low-order fit"}),
-    ):
-        panel.plot(f, 20 * np.log10(np.abs(response)), **style)
+    shown, fitted = 20 * np.log10(np.abs([measured.response, closed.fit.model.response(f)]))
+    panel.plot(f, shown, color=SECOND, lw=1.0, label="measured")
+    panel.plot(f, fitted, **_LINE, label="low-order fit")
     panel.set_ylim(*_SHOWN_TRACKING_DB)
     if flat := tracking.closed_loop_flat_to_hz:
         _mark(panel, flat, f"±{FLATNESS_DB:g} dB to {flat:.3g} Hz", 0.85)

@@ -87,11 +87,9 @@ class Multisine:
     def text(self) -> str:
         """Say what will be reached, in one line."""
         peaks = self.peaks
-        return (
-            f"multisine: {SINES} sines of {1e3 * self.travel:.3g} mm on each axis, up to "
-            f"{self.top:.3g} Hz; peaks up to {1e3 * peaks['velocity']:.3g} mm/s, "
-            f"{peaks['acceleration']:.3g} m/s², {peaks['force']:.3g} N"
-        )
+        sines = f"{SINES} sines of {1e3 * self.travel:.3g} mm on each axis, up to {self.top:.3g} Hz"
+        v, a = f"{1e3 * peaks['velocity']:.3g} mm/s", f"{peaks['acceleration']:.3g} m/s²"
+        return f"multisine: {sines}; peaks up to {v}, {a}, {peaks['force']:.3g} N"
 
 
 def plan_multisine(
@@ -121,31 +119,26 @@ def plan_multisine(
     """
     rate, axes = experiment.timebase.rate, experiment.axes
     section = experiment["reference_force"]
-    mass = known_mass(experiment)
-    where = "/**: specimen.stiffness"
+    mass, where = known_mass(experiment), "/**: specimen.stiffness"
     stiffness = symmetric_matrix(section["specimen.stiffness"], axes, where)
     noise = _noise(experiment)
     if travel is None and not noise["displacement"].any():
-        raise InputError(
-            "/**: sensors.displacement_noise is 0, but the displacement of the multisine "
-            "test follows from it; enter the sensor's noise, or give --travel"
-        )
+        text = "but the displacement of the multisine test follows from it"
+        mend = "enter the sensor's noise, or give --travel"
+        raise InputError(f"/**: sensors.displacement_noise is 0, {text}; {mend}")
     if travel is not None and not 0 < travel < float("inf"):
         raise InputError(f"--travel is {travel:g} m, but must be positive")
     allowed = _allowed(experiment)
-    tried = []
     steps = math.ceil(math.log(OF_RATE * rate / LOWEST_TOP) / math.log(1.05))
     for top in np.geomspace(OF_RATE * rate, LOWEST_TOP, steps + 1):
         needed = travel
         if needed is None:
             needed = min(_needed(noise, mass, stiffness, top, rate), PEAK_SHARE**2 * cap)
         multisine = Multisine(needed, float(top), _peaks(needed, top, mass, stiffness))
-        over = _over(multisine, allowed)
-        if not over:
+        if not (over := _over(multisine, allowed)):
             return multisine
-        tried.append(over)
     how = "give a smaller --travel" if travel is not None else "raise it, or give --travel"
-    raise InputError(f"the multisine test would reach {tried[-1]}; {how}")
+    raise InputError(f"the multisine test would reach {over}; {how}")
 
 
 def _noise(experiment: Experiment) -> dict[str, Floats]:
@@ -165,13 +158,8 @@ def _needed(
     """Displacement that tells scale and mass to `ACCURACY` on every axis, m."""
     w = 2 * np.pi * top
     inertia = np.diag(mass) * w * w
-    per_sample = np.maximum.reduce(
-        [
-            noise["displacement"] * np.maximum(1.0, np.abs(np.diag(stiffness)) / inertia),
-            noise["acceleration"] / w**2,
-            noise["force"] / inertia,
-        ]
-    )
+    of_x = noise["displacement"] * np.maximum(1.0, np.abs(np.diag(stiffness)) / inertia)
+    per_sample = np.maximum.reduce([of_x, noise["acceleration"] / w**2, noise["force"] / inertia])
     return float(per_sample.max() / ACCURACY * np.sqrt(2.0 / (SECONDS * rate)))
 
 
@@ -202,10 +190,8 @@ def _over(multisine: Multisine, allowed: Mapping[str, tuple[float, str]]) -> str
         peak = multisine.peaks.get(name, w * multisine.peaks.get(name.removesuffix("_rate"), 0.0))
         if peak > PEAK_SHARE * limit:
             unit = FACTS[f"limits.{name}"].unit
-            return (
-                f"{peak:.3g} {unit} with {1e3 * multisine.travel:.3g} mm at "
-                f"{multisine.top:.3g} Hz, more than half of {where}, {limit:g} {unit}"
-            )
+            sine = f"{1e3 * multisine.travel:.3g} mm at {multisine.top:.3g} Hz"
+            return f"{peak:.3g} {unit} with {sine}, more than half of {where}, {limit:g} {unit}"
     return ""
 
 
@@ -241,12 +227,10 @@ def with_actuators(multisine: Multisine, found: Identified, experiment: Experime
     within = np.maximum.accumulate(voltage) <= PEAK_SHARE * limit
     unit = command_unit(experiment["force_controller"]["actuator.kind"])
     if not within[0]:
-        raise InputError(
-            f"the multisine test would need {voltage[0]:.3g} {unit} with "
-            f"{1e3 * multisine.travel:.3g} mm at {frequencies[0]:.3g} Hz, more than half of "
-            f"/**: limits.command, {limit:g} {unit}; "
-            "give a smaller --travel"
-        )
+        sine = f"{1e3 * multisine.travel:.3g} mm at {frequencies[0]:.3g} Hz"
+        half = f"half of /**: limits.command, {limit:g} {unit}; give a smaller --travel"
+        needs = f"the multisine test would need {voltage[0]:.3g} {unit} with {sine}"
+        raise InputError(f"{needs}, more than {half}")
     return replace(multisine, top=float(frequencies[within][-1]))
 
 
@@ -297,8 +281,7 @@ def multisine_drive(
         Evaluated over whole cycles.
     """
     n, first = len(found.axes), 0
-    parts: list[Floats] = []
-    sines: list[Sine] = []
+    parts, sines = list[Floats](), list[Sine]()
     volts = multisine.travel / _moved(found, multisine.frequencies)
     for axis in range(n):
         for place in ORDER:

@@ -82,9 +82,7 @@ def uneven_force(w: Floats, x: Complexes, a: Complexes, f: Complexes, noise: Flo
     thresholds = travel * np.geomspace(_LEAST, _MOST, _STOPS)
     stops = np.array([_stopped(each, thresholds) for each in x])  # (m, H, stops)
     rows, wanted = [], []
-    for order in _ORDERS:
-        if order > x.shape[1]:
-            break
+    for order in (each for each in _ORDERS if each <= x.shape[1]):
         k = order - 1
         own = np.stack([a[:, k], x[:, k], 1j * order * w * x[:, k]], axis=1)
         seen = f[:, k] != 0.0
@@ -366,21 +364,9 @@ def fit_multisine(
         mass_error[i] = np.hypot(of_mass, common * np.abs(mass[i]))
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     bias, bias_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
-    return MultisineFit(
-        *_symmetric(mass, mass_error),
-        stiffness,
-        hysteresis,
-        hysteresis_error,
-        *_symmetric(damping, damping_error),
-        scale,
-        scale_error,
-        lag,
-        lag_error,
-        bias,
-        bias_error,
-        tilt,
-        tilt_error,
-    )
+    law = stiffness, hysteresis, hysteresis_error, *_symmetric(damping, damping_error)
+    channels = scale, scale_error, lag, lag_error, bias, bias_error, tilt, tilt_error
+    return MultisineFit(*_symmetric(mass, mass_error), *law, *channels)
 
 
 def _symmetric(value: Floats, error: Floats) -> tuple[Floats, Floats]:
@@ -463,10 +449,8 @@ def _shaped(y: Complexes, columns: Complexes, noise: Floats, w: Floats) -> tuple
     Without g and h, unless one of them is significant.
     """
     late, bent = -1j * w, 1j * w**3
-    fit, shape = min(
-        (aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2)),
-        key=lambda tried: tried[0].left,
-    )
+    fits = (aligned(y, columns, noise, _stacked(late, w**p, bent)) for p in (4, 2))
+    fit, shape = min(fits, key=lambda tried: tried[0].left)
     if not (np.abs(fit.value[-2:]) > SIGNIFICANT * fit.error[-2:]).any():
         fit, shape = aligned(y, columns, noise, _stacked(late))
     count = columns.shape[1] + 1

@@ -62,14 +62,9 @@ def tracking_measures(frequencies_hz: Floats, tracking: Complexes) -> Tracking:
     decibels = median_filter(20 * np.log10(np.abs(t)), _OUTLIERS, mode="nearest")
     phase = np.unwrap(np.angle(t))
     flat_to = _first_above(f, np.abs(decibels), FLATNESS_DB)
-    dip_db, dip_hz = _deepest_dip(f, decibels)
-    return Tracking(
-        closed_loop_flat_to_hz=flat_to,
-        bandwidth_hz=_first_above(f, -decibels, -BANDWIDTH_DB),
-        delay_s=_fitted_delay(f, phase, BAND_HZ if flat_to is None else min(flat_to, BAND_HZ)),
-        dip_db=dip_db,
-        dip_hz=dip_hz,
-    )
+    bandwidth = _first_above(f, -decibels, -BANDWIDTH_DB)
+    delay = _fitted_delay(f, phase, BAND_HZ if flat_to is None else min(flat_to, BAND_HZ))
+    return Tracking(flat_to, bandwidth, delay, *_deepest_dip(f, decibels))
 
 
 def _first_above(f: Floats, values: Floats, limit: float) -> float | None:
@@ -78,9 +73,7 @@ def _first_above(f: Floats, values: Floats, limit: float) -> float | None:
     if not above.any():
         return None
     i = int(above.argmax())
-    if i == 0:
-        return 0.0
-    return float(np.interp(limit, values[i - 1 : i + 1], f[i - 1 : i + 1]))
+    return float(np.interp(limit, values[i - 1 : i + 1], f[i - 1 : i + 1])) if i else 0.0
 
 
 def _fitted_delay(f: Floats, phase: Floats, to_hz: float) -> float | None:
@@ -323,10 +316,8 @@ class _Data:
 
     def start(self, corner: float) -> Floats:
         """One pair, with the dead time that suits it best."""
-        starts = [
-            np.array([share, np.log(corner), np.log(0.7)])
-            for share in np.linspace(self._least, 1.0, _DEAD_TIMES)
-        ]
+        shares = np.linspace(self._least, 1.0, _DEAD_TIMES)
+        starts = [np.array([share, np.log(corner), np.log(0.7)]) for share in shares]
         return min(starts, key=lambda p: float(np.sum(self._residuals(p) ** 2)))
 
     def misfit(self, model: TransferFunction) -> Floats:
@@ -340,10 +331,8 @@ class _Data:
     def solved(self, start: Floats) -> tuple[TrackingFit, Floats]:
         """Best fit from a start, and its parameters."""
         pairs = len(start) // 2
-        bounds = (
-            np.concatenate([[self._least], np.tile(_LOWEST, pairs)]),
-            np.concatenate([[1.5], np.tile(_HIGHEST, pairs)]),
-        )
+        low, high = np.tile(_LOWEST, pairs), np.tile(_HIGHEST, pairs)
+        bounds = np.append(self._least, low), np.append(1.5, high)
         start = np.clip(start, *bounds)
         found = least_squares(self._residuals, start, bounds=bounds, max_nfev=_MOST_STEPS).x
         numerator, denominator = np.linalg.lstsq(*self._equations(found), rcond=None)[0], np.ones(1)

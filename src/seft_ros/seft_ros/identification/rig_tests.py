@@ -7,14 +7,9 @@ from pathlib import Path
 import numpy as np
 import scipy.signal
 from seft_msgs_py.arrays import Complexes, Floats
+from seft_msgs_py.config import facts
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import (
-    CHANNELS,
-    EVERY_NODE,
-    FORCE_DRIVEN,
-    POSITION_SERVO,
-    command_unit,
-)
+from seft_msgs_py.config.facts import CHANNELS, EVERY_NODE, FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.config.parameter_table import Section, group, mass_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, VALVE_COMMAND
@@ -111,12 +106,9 @@ class Response:
 
     def of_axis(self, axis: int) -> Measurement:
         """Response of one output to the input of its place."""
-        return Measurement(
-            self.frequencies_hz,
-            self.response[:, axis, axis],
-            np.sqrt(np.maximum(self.variance()[:, axis, axis], 0.0)),
-            self.coherence[:, axis],
-        )
+        deviation = np.sqrt(np.maximum(self.variance()[:, axis, axis], 0.0))
+        response, coherence = self.response[:, axis, axis], self.coherence[:, axis]
+        return Measurement(self.frequencies_hz, response, deviation, coherence)
 
 
 def motion_spectra(signals: Floats, rate: float, segment: float) -> _Spectra:
@@ -125,17 +117,10 @@ def motion_spectra(signals: Floats, rate: float, segment: float) -> _Spectra:
     Of signals of shape (N, m), sampled at a rate in Hz, in segments of so many s.
     """
     length = min(int(segment * rate), len(signals))
-    columns = signals.T
-    frequencies, density = scipy.signal.csd(
-        columns[:, np.newaxis],
-        columns[np.newaxis],
-        fs=rate,
-        window="hann",
-        nperseg=length,
-        noverlap=length // 2,
-        detrend=False,  # a drift is part of the signals
-    )
-    count = (len(signals) - length // 2) // (length - length // 2)
+    pairs, overlap = (signals.T[:, np.newaxis], signals.T[np.newaxis]), length // 2
+    # a drift is part of the signals
+    frequencies, density = scipy.signal.csd(*pairs, rate, "hann", length, overlap, detrend=False)
+    count = (len(signals) - overlap) // (length - overlap)
     averages = max(1.0, _HANN_OVERLAP_GAIN * count)
     return _Spectra(frequencies, np.moveaxis(density, -1, 0), averages)
 
@@ -216,11 +201,10 @@ class MeasuredTest:
             poor = measured.coherence[wanted] < _COHERENT
             if poor.mean() > 1.0 - _LEAST_SHARE:
                 bad = f[wanted][poor]
-                return (
-                    f"coherence of the force on axis {name} is below {_COHERENT:g} at "
-                    f"{poor.mean():.0%} of the frequencies from {bad[0]:.3g} to {bad[-1]:.3g} Hz, "
-                    "too low to identify anything"
-                )
+                share = f"{poor.mean():.0%} of the frequencies"
+                low = f"coherence of the force on axis {name} is below {_COHERENT:g} at {share}"
+                band = f"from {bad[0]:.3g} to {bad[-1]:.3g} Hz"
+                return f"{low} {band}, too low to identify anything"
         return ""
 
     def _response(
@@ -263,9 +247,8 @@ class MeasuredTest:
         found = self._response(_VALVE, _DISPLACEMENT).of_axis(axis)
         late = found.frequencies_hz * self.dt
         loop = np.exp(-2j * np.pi * late * OF_THE_LOOP) * np.sinc(late)
-        return replace(
-            found, response=found.response / loop, deviation=found.deviation / np.abs(loop)
-        )
+        deviation = found.deviation / np.abs(loop)
+        return replace(found, response=found.response / loop, deviation=deviation)
 
     def of_actuator(self, axis: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Valve command, displacement, acceleration and force of one axis, shape (N,) each."""
@@ -321,11 +304,7 @@ class LargestLevels:
 
     @classmethod
     def of(
-        cls,
-        experiment: Experiment,
-        unit: Floats,
-        cap: float = math.inf,
-        specimen: Specimen | None = None,
+        cls, experiment: Experiment, unit: Floats, cap: float, specimen: Specimen | None = None
     ) -> "LargestLevels":
         """Levels at which the peaks and changes of an excitation reach a limit.
 
@@ -337,9 +316,8 @@ class LargestLevels:
         at_rest = np.zeros((steps, unit.shape[1]))
         fastest = float(np.abs(unit - np.concatenate([at_rest, unit[:-steps]])).max()) / steps / dt
         largest = command_limit(experiment["force_controller"])
-        voltages = [(largest / peak, "/**: limits.command")]
-        if largest < limits["command"]:
-            voltages = [(largest / peak, "/**: limits.displacement")]
+        limit = "displacement" if largest < limits["command"] else "command"
+        voltages = [(largest / peak, f"/**: limits.{limit}")]
         forces = [
             (limits["force"] / peak, "/**: limits.force"),
             (largest_force_rate(limits) / fastest, "/**: limits.force_rate"),
@@ -347,7 +325,7 @@ class LargestLevels:
         if cap < math.inf:
             voltages.append((cap / _moved_by_valves(experiment, unit), _CAP))
             forces.append((cap / _moved_by_forces(experiment, unit, specimen), _CAP))
-        unit_of_command = command_unit(experiment["reference_force"]["actuator.kind"])
+        unit_of_command = facts.command_unit(experiment["reference_force"]["actuator.kind"])
         return cls(min(voltages), min(forces), unit_of_command)
 
     def check(self, levels: Levels) -> None:
@@ -358,11 +336,9 @@ class LargestLevels:
         ):
             if not 0 < level <= largest:
                 digit = 10.0 ** (math.floor(math.log10(largest)) - 2)
-                raise InputError(
-                    f"{option} is {level:g} {unit} RMS, but must be above 0, and "
-                    f"{digit * math.floor(largest / digit):g} {unit} at most: beyond, this "
-                    f"excitation exceeds {where}"
-                )
+                most = f"{digit * math.floor(largest / digit):g} {unit} at most"
+                text = f"{option} is {level:g} {unit} RMS, but must be above 0, and {most}"
+                raise InputError(f"{text}: beyond, this excitation exceeds {where}")
 
 
 def default_force(experiment: Experiment, largest: LargestLevels) -> float:
@@ -409,9 +385,8 @@ def voltage_after(pilot: Recording, voltage: float, largest: LargestLevels) -> f
     dt, axes = experiment.timebase.dt, experiment.axes
     limits = Limits(group(experiment["supervisor"], "limits"), axes, dt)
     changes = states[len(limits.recent) :] - states[: -len(limits.recent)]
-    shares = [np.abs(part).max(axis=(0, 2)) for part in (states, changes)] / limits.values.reshape(
-        2, -1
-    )
+    largest_of = [np.abs(part).max(axis=(0, 2)) for part in (states, changes)]
+    shares = largest_of / limits.values.reshape(2, -1)
     factor = min(_TARGET / shares[0].max(), PEAK_SHARE / shares[1].max())
     return float(min(voltage * factor, PEAK_SHARE * largest.voltage[0]))
 
@@ -485,9 +460,8 @@ def _with(
             "tail": TAIL,
         },
         "reference_force": {"method": "eft", "mass_ratio": 0.0, "compensation.method": "none"},
-        EVERY_NODE: {
-            "calibration.zeroing": 0.0
-        },  # a bias that these tests find is beside the known
+        # a bias that these tests find is beside the known
+        EVERY_NODE: {"calibration.zeroing": 0.0},
         "rig": {"detectors.warn_only": ",".join(MODEL_BASED)},
         "force_controller": controller,
     }

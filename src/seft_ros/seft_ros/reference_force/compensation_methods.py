@@ -22,14 +22,8 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_plant_sim.lti import first_order_hold
 
-from seft_ros.reference_force.compensator import (
-    Compensator,
-    LinearCompensator,
-    LinearFilter,
-    Method,
-    MethodInputs,
-    RegisteredCompensator,
-)
+from seft_ros.reference_force import compensator
+from seft_ros.reference_force.compensator import Compensator, LinearFilter, MethodInputs
 from seft_ros.reference_force.reference_force_parameters import OWN_METHODS, REGISTERED_METHODS
 from seft_ros.reference_force.target_motion import TargetMotion
 
@@ -41,7 +35,7 @@ def none(inputs: MethodInputs) -> Compensator:
     n = inputs.axes
     measured = np.zeros((n, 4 * n))
     measured[:, 2 * n : 3 * n] = -inputs.computed_mass
-    return LinearCompensator(LinearFilter.of_gains(measured, -inputs.total_mass))
+    return compensator.LinearCompensator(LinearFilter.of_gains(measured, -inputs.total_mass))
 
 
 def restoring(inputs: MethodInputs) -> Compensator:
@@ -56,7 +50,7 @@ def restoring(inputs: MethodInputs) -> Compensator:
     measured = np.zeros((n, 4 * n))
     measured[:, 2 * n : 3 * n] = -share @ inputs.mass
     measured[:, 3 * n :] = share
-    return LinearCompensator(LinearFilter.of_gains(measured, -inputs.mass))
+    return compensator.LinearCompensator(LinearFilter.of_gains(measured, -inputs.mass))
 
 
 def model(inputs: MethodInputs) -> Compensator:
@@ -91,7 +85,7 @@ def model(inputs: MethodInputs) -> Compensator:
         oldest, last, x = last, x, np.linalg.solve(effective, load(i * h) - known)
     a = (x - 2 * last + oldest) / h**2
     measured, ground = np.split(load(delay) - inputs.computed_mass @ a, [4 * n], axis=1)
-    return LinearCompensator(LinearFilter.of_gains(measured, ground))
+    return compensator.LinearCompensator(LinearFilter.of_gains(measured, ground))
 
 
 _ROUNDING = 1e-9  # of a sampling period
@@ -118,18 +112,15 @@ def _registered(name: str, inputs: MethodInputs) -> Compensator:
     settings = inputs.options.get("compensation.settings", "")
     make = partial(REGISTERED_METHODS.make, name, settings, "reference_force: compensation.method")
     made = make(inputs)
-    if isinstance(made, Compensator):
-        return made
-    return RegisteredCompensator(name, partial(make, inputs), inputs.axes)
+    is_whole = isinstance(made, Compensator)
+    own = partial(make, inputs)
+    return made if is_whole else compensator.RegisteredCompensator(name, own, inputs.axes)
 
 
-COMPENSATION_METHODS: dict[str, Method] = {
+_OTHERS = (name for name in REGISTERED_METHODS.names if name in REGISTERED_METHODS)
+COMPENSATION_METHODS: dict[str, compensator.Method] = {
     **dict(zip(OWN_METHODS, (none, model, restoring, TargetMotion), strict=True)),
-    **{
-        name: partial(_registered, name)
-        for name in REGISTERED_METHODS.names
-        if name in REGISTERED_METHODS
-    },
+    **{name: partial(_registered, name) for name in _OTHERS},
 }
 
 
@@ -154,8 +145,8 @@ def with_substructure(method: Compensator, inputs: MethodInputs) -> Compensator:
     if inputs.computed.is_lumped:
         return method
     motion = substructure_motion(inputs, method.preview)
-    if isinstance(method, LinearCompensator):
-        return LinearCompensator(_behind(method.linear(), motion))
+    if isinstance(method, compensator.LinearCompensator):
+        return compensator.LinearCompensator(_behind(method.linear(), motion))
     return _BehindMotion(method, motion)
 
 
@@ -182,21 +173,18 @@ def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     n, computed, dt = inputs.axes, inputs.computed, inputs.dt
     inside, steps = 2 * computed.internal, 1 + preview
     # all signals are combinations of states, measured signals and ground motion
-    before, remainder, x, v, a, f, *ground = np.split(
-        np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps)
-    )
+    every, places = np.eye(inside + n + 4 * n + steps * n), inside + n * np.arange(0, 5 + steps)
+    before, remainder, x, v, a, f, *ground = np.split(every, places)
     system, by_ground = _internal(inputs)
     # the motion of the axes is an input
-    free, start, change = first_order_hold(
-        system[:, 2 * n :], np.hstack([system[:, : 2 * n], by_ground]), dt
-    )
+    driven = np.hstack([system[:, : 2 * n], by_ground])
+    free, start, change = first_order_hold(system[:, 2 * n :], driven, dt)
     here = np.vstack([x, v, ground[0]])
     internal = before + change @ here
     going_on = free @ internal + (start - change) @ here
     residual = f - inputs.mass @ a - inputs.stiffness @ x - inputs.damping @ v
-    remainder = remainder + (1.0 - np.exp(-2 * np.pi * REMAINDER_CORNER * dt)) * (
-        residual - remainder
-    )
+    share = 1.0 - np.exp(-2 * np.pi * REMAINDER_CORNER * dt)
+    remainder = remainder + share * (residual - remainder)
 
     inverse = np.linalg.inv(inputs.total_mass)
     acceleration = inverse @ _force(inputs)
@@ -210,11 +198,8 @@ def substructure_motion(inputs: MethodInputs, preview: int) -> LinearFilter:
     motion = np.vstack([x, v, internal])
     found = [ground[0] + acceleration @ motion]
     for now, later in pairwise(ground):
-        motion = (
-            free @ motion
-            + start @ np.vstack([now, remainder])
-            + change @ np.vstack([later - now, np.zeros_like(remainder)])
-        )
+        rise = change @ np.vstack([later - now, np.zeros_like(remainder)])
+        motion = free @ motion + start @ np.vstack([now, remainder]) + rise
         found.append(later + acceleration @ motion)
     states, signals = inside + n, inside + 5 * n
     c, d, e = np.split(np.vstack(found), [states, signals], axis=1)
@@ -274,12 +259,9 @@ def _force(inputs: MethodInputs) -> Floats:
 
 def _internal(inputs: MethodInputs) -> tuple[Floats, Floats]:
     """Rate of (z, z') from (x, v, z, z') and from a_g, shapes (2q, 2n + 2q) and (2q, n)."""
-    n, computed = inputs.axes, inputs.computed
-    q = computed.internal
-    k, c = (
-        np.linalg.solve(computed.mass[n:, n:], matrix[n:])
-        for matrix in (computed.stiffness, computed.damping)
-    )
+    n, computed, q = inputs.axes, inputs.computed, inputs.computed.internal
+    mass = computed.mass[n:, n:]
+    k, c = (np.linalg.solve(mass, one[n:]) for one in (computed.stiffness, computed.damping))
     moved = -np.hstack([k[:, :n], c[:, :n], k[:, n:], c[:, n:]])
     still = np.hstack([np.zeros((q, 2 * n + q)), np.eye(q)])
     return np.vstack([still, moved]), np.vstack([np.zeros((q, n)), -computed.influence])

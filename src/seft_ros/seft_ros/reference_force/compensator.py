@@ -238,12 +238,10 @@ class MethodInputs:
         """Delay to compensate, that of the loop included, s; InputError if it is not known."""
         own, whole = self.options["actuator.delay"], self.assumed_delay
         if min(own, whole) <= 0 and self.options["actuator.kind"] not in FORCE_DRIVEN:
-            raise InputError(
-                f"/**: actuator.delay is 0, but reference_force: compensation.method "
-                f"{self.options['compensation.method']} needs the delay from reference force to "
-                "measured force; seft identify finds it and writes it into model.yaml, to be read "
-                "by --params-file"
-            )
+            method = f"reference_force: compensation.method {self.options['compensation.method']}"
+            text = f"{method} needs the delay from reference force to measured force"
+            how = "seft identify finds it and writes it into model.yaml, to be read by"
+            raise InputError(f"/**: actuator.delay is 0, but {text}; {how} --params-file")
         return whole
 
 
@@ -313,9 +311,8 @@ class NotLinearError(InputError):
     """A part of another package has no ``linear()``: only a simulation shows its stability."""
 
     def __init__(self, where: str, name: str) -> None:
-        super().__init__(
-            f"{where}: {name} has no linear(), so the margins of its stability are not known"
-        )
+        text = "has no linear(), so the margins of its stability are not known"
+        super().__init__(f"{where}: {name} {text}")
 
 
 class RegisteredPart:
@@ -357,10 +354,9 @@ class RegisteredPart:
     def _check_shape(self, what: str, unit: str, found: Any, axes: int) -> None:
         """Check the first result of ``step``; InputError if it is not one value for each axis."""
         if np.shape(found) != (axes,):
-            raise InputError(
-                f"{self._where}: the {what} of {self._name} has the shape {np.shape(found)}, but "
-                f"must have {(axes,)}: one value in {unit} for each axis"
-            )
+            wanted = f"must have {(axes,)}: one value in {unit} for each axis"
+            shape = f"the {what} of {self._name} has the shape {np.shape(found)}"
+            raise InputError(f"{self._where}: {shape}, but {wanted}")
 
 
 class RegisteredCompensator(RegisteredPart):

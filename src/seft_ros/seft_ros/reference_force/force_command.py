@@ -63,10 +63,8 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
     InputError
         If the horizon is too short for T.
     """
-    numerator, denominator = (
-        np.atleast_1d(np.asarray(known.options[f"actuator.response.{name}"], dtype=np.float64))
-        for name in ("numerator", "denominator")
-    )
+    parts = (known.options[f"actuator.response.{name}"] for name in ("numerator", "denominator"))
+    numerator, denominator = (np.atleast_1d(np.asarray(part, dtype=np.float64)) for part in parts)
     dt, late = known.dt, float(np.max(known.options["actuator.response.dead_time"])) + known.late
     if not numerator.any():  # a pure delay, with the half step of the hold
         numerator = denominator = np.ones(1)
@@ -76,17 +74,14 @@ def command_arrays(known: MethodInputs, horizon: int) -> tuple[CommandParameters
     delay = late + slopes[1] - slopes[0]
     steps = max(int(delay / dt + 1e-6), 1)
     if steps + 2 > horizon:
-        raise InputError(
-            f"reference_force: the rig's force is {delay:g} s late, but compensation.horizon is "
-            f"{horizon * dt:g} s; make it longer"
-        )
+        short = f"compensation.horizon is {horizon * dt:g} s; make it longer"
+        raise InputError(f"reference_force: the rig's force is {delay:g} s late, but {short}")
 
     def response(s: Complexes) -> Complexes:
         hold = np.exp(-s * (late + dt / 2)) * np.sinc(s.imag * dt / math.tau)
         return hold * np.polyval(numerator, s) / np.polyval(denominator, s)
 
-    taps = min(horizon, 3 * steps + 4)
-    n = known.axes
+    taps, n = min(horizon, 3 * steps + 4), known.axes
     parameters = CommandParameters(
         inverse=noncausal_inverse(response, 1 / (MIN_SAMPLES * dt), taps, dt),
         static=static,

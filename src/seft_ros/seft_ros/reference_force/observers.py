@@ -73,9 +73,8 @@ def observer_gains(
         inverse = np.linalg.inv(scale)
         driven = inverse @ np.outer(push, push) @ inverse * (between * a) ** 2
         sensors = inverse @ np.diag([x * x, v * v]) @ inverse
-        predicted = solve_discrete_are(
-            (inverse @ free @ scale).T, np.eye(2), driven + 1e-12 * np.eye(2), sensors
-        )
+        moving, one = (inverse @ free @ scale).T, np.eye(2)
+        predicted = solve_discrete_are(moving, one, driven + 1e-12 * one, sensors)
         gain = predicted @ np.linalg.inv(predicted + sensors)
         gains[axis] = scale @ gain @ inverse
         left[:, axis] = np.sqrt(np.diag(scale @ (predicted - gain @ predicted) @ scale))

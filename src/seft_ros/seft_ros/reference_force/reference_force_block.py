@@ -99,9 +99,8 @@ class StateGathering:
         first, last = max(self._newest), min(self._newest)
         name, ahead = (self._rigs[self._newest.index(step)].name for step in (last, first))
         known = f"the last is of step {last}" if last >= 0 else "none has arrived"
-        return (
-            f"no rig/state of {name} for {self._patience:g} s ({known}; {ahead} is at step {first})"
-        )
+        others = f"{known}; {ahead} is at step {first}"
+        return f"no rig/state of {name} for {self._patience:g} s ({others})"
 
 
 class MotionBuffer:
@@ -251,10 +250,9 @@ def compensator(method: str, known: MethodInputs) -> Compensator:
     computed = known.computed
     for name, given in (("model", computed.model), ("influence of axes", computed.on_axes)):
         if given is not None and method != TARGET_MOTION:
-            raise InputError(
-                f"reference_force: computed.{name} acts on the motion of a target, which "
-                f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
-            )
+            lacks = f"compensation.method {method} does not compute; make that {TARGET_MOTION}"
+            text = f"computed.{name} acts on the motion of a target"
+            raise InputError(f"reference_force: {text}, which {lacks}")
     made = COMPENSATION_METHODS[method](known)
     return made if provides_target(made) else with_substructure(made, known)
 
@@ -272,41 +270,33 @@ def method_inputs(
     """
     where, n = "/**: specimen", len(axes)
     mass = mass_matrix(section["specimen.mass"], axes, f"{where}.mass")
-    damping, stiffness = (
-        symmetric_matrix(section[f"specimen.{name}"], axes, f"{where}.{name}")
-        for name in ("damping", "stiffness")
-    )
+    damping = symmetric_matrix(section["specimen.damping"], axes, f"{where}.damping")
+    stiffness = symmetric_matrix(section["specimen.stiffness"], axes, f"{where}.stiffness")
     of_calibration = (f"calibration.force_{what}_error" for what in ("lag", "scale"))
     for name in ("specimen.mass_error", *of_calibration):
         per_axis(section[name], axes, f"/**: {name}")
     if section["method"] == "eft":  # the specimen has all of the mass (Eq. 2.2)
         if computing := [name for name in ("mass_ratio", "computed.model") if section[name]]:
-            raise InputError(
-                f"reference_force: {computing[0]} is {section[computing[0]]}, but with method eft "
-                "nothing is computed; make that seft, or leave it out"
-            )
+            given = f"reference_force: {computing[0]} is {section[computing[0]]}"
+            mend = "make that seft, or leave it out"
+            raise InputError(f"{given}, but with method eft nothing is computed; {mend}")
         computed = ComputedSubstructure.lumped(np.zeros_like(mass))
     else:
         computed = ComputedSubstructure.from_parameters(section, axes).without_inertial_coupling()
     total = mass + computed.mass[:n, :n]
     if np.linalg.eigvalsh(total)[0] <= 0.0:
-        raise InputError(
-            "reference_force: computed.mass and specimen.mass add up to a mass on the axes that is "
-            f"not positive (definite): {total.tolist()}"
-        )
+        text = "computed.mass and specimen.mass add up to a mass on the axes that is not positive"
+        raise InputError(f"reference_force: {text} (definite): {total.tolist()}")
     loop_delay: int = section["loop_delay"]
     if loop_delay < 0:
-        raise InputError(
-            "/**: loop_delay is -1, and only seft run measures it; measure it with seft link, and "
-            "give it with -p loop_delay:=STEPS"
-        )
+        mend = "measure it with seft link, and give it with -p loop_delay:=STEPS"
+        raise InputError(f"/**: loop_delay is -1, and only seft run measures it; {mend}")
     late = loop_delay * timebase.dt
     if section["actuator.kind"] in FORCE_DRIVEN:  # nothing feeds the force back
         late += common_lag(section)
     springs = deformations(section["specimen.springs"], axes, where)
-    return MethodInputs(
-        mass, computed, damping, stiffness, timebase.dt, section, late, loop_delay, springs
-    )
+    structure = mass, computed, damping, stiffness
+    return MethodInputs(*structure, timebase.dt, section, late, loop_delay, springs)
 
 
 SAMPLES_PER_SECOND, MODEL_SAMPLES_PER_SECOND = 10, 100

@@ -25,23 +25,12 @@ from seft_plant_sim.computed.model_worker import ModelState
 from seft_plant_sim.judge.servo_model import derived_noise, second_difference, smoothing_steps
 from seft_plant_sim.lti import first_order_hold
 
+from seft_ros.reference_force import reference_force_parameters, target_step
 from seft_ros.reference_force.compensator import LinearFilter, MethodInputs, NotLinearError
 from seft_ros.reference_force.force_command import command_arrays, command_step
 from seft_ros.reference_force.observers import observer_gains, sensor_noise, steps_of_force
-from seft_ros.reference_force.reference_force_parameters import (
-    OF_MODEL,
-    TARGET_MOTION,
-    horizon_steps,
-)
 from seft_ros.reference_force.restoring_model import UNCERTAIN_STIFFNESS, model_arrays
-from seft_ros.reference_force.target_step import (
-    ESTIMATE_NAMES,
-    TargetParameters,
-    TargetState,
-    begin_target,
-    target_estimates,
-    target_step,
-)
+from seft_ros.reference_force.target_step import TargetParameters, TargetState
 
 MIN_MOTION = 1e-9  # m: the tangent of a smaller motion is rounding
 _STIFFEST = 0.25
@@ -75,19 +64,16 @@ class ModelLine:
         assert computed.model is not None
         size = len(inverse)
         self._source, self._inverse, self._dt = computed.model, inverse, dt
-        self._every = computed.model.every
-        self._by_axis = computed.model.influence
+        self._every, self._by_axis = computed.model.every, computed.model.influence
         self._made: ComputedModel | None = None
         self._rest = np.hstack(computed.model.tangents)
-        self.values = np.zeros((size, 2 * size + 2))
-        self.force = np.zeros(size)
+        self.values, self.force = np.zeros((size, 2 * size + 2)), np.zeros(size)
         self.reset()
 
     def reset(self) -> None:
         """Begin a new test."""
-        self._is_started = False
+        self._is_started, self._count = False, 0
         self.values[:], self.force[:] = 0.0, 0.0
-        self._count = 0
         self._asked = np.zeros(0)  # the motion to which the model steps
         self._line = np.zeros_like(self.values)  # the line from the last answer on
         self._at: Floats | None = None  # the motion of the last answer
@@ -115,9 +101,8 @@ class ModelLine:
         turn = count % self._every
         if turn == 0:
             x, v = motion[:size].copy(), motion[size:].copy()
-            now = count * self._dt, x, v, self._by_axis @ ground
             self._asked = motion.copy()
-            model.ask(*now)
+            model.ask(count * self._dt, x, v, self._by_axis @ ground)
         if turn == self._every - 1:
             self._take(model.answer(), motion, turn)
 
@@ -165,11 +150,10 @@ class ModelLine:
         own, own_force = rows @ at[:size], np.linalg.lstsq(rows.T, force, rcond=None)[0]
         own_force = own_force - self._source.probed.damping @ (rows @ at[size:])
         if self._at is not None:
-            before, force_before = self._own
-            moved = own - before
+            moved = own - self._own[0]
             span = float(moved @ moved)
             if span > MIN_MOTION**2:
-                missed = own_force - force_before - self._tangent @ moved
+                missed = own_force - self._own[1] - self._tangent @ moved
                 self._tangent = self._tangent + np.outer(missed, moved) / span
         self._own = own, own_force
         stiffness = rows.T @ self._tangent @ rows
@@ -191,15 +175,16 @@ class ModelLine:
         at = np.zeros(size) if self._at is None else self._at[:size]
         force = np.linalg.lstsq(model.rows.T, self.force, rcond=None)[0]
         found: dict[str, Floats] = {}
+        of_model = reference_force_parameters.OF_MODEL
         for kind, values in (("displacement", model.rows @ at), ("force", force)):
             for place, value in zip(model.places, values.tolist(), strict=True):
-                name = f"{OF_MODEL}{kind}"
+                name = f"{of_model}{kind}"
                 if place < axes:
                     found.setdefault(name, np.zeros(axes))[place] = value
                 else:
                     found[f"{name}, {source.dofs[place]}"] = np.full(axes, value)
-        more = self._responses.items()
-        return found | {f"{OF_MODEL}{name}": np.full(axes, value) for name, value in more}
+        more = {f"{of_model}{name}": np.full(axes, v) for name, v in self._responses.items()}
+        return found | more
 
 
 LONGEST_SUBSTEP = 0.001
@@ -238,9 +223,9 @@ class TargetMotion:
         self._points = np.zeros((1 + self.preview, 3, n))
         both = self.parameters, self.state
         arguments = self._ground, self._measured, 1.0, self._points
-        self._step = entry_point(target_step, *both, *arguments)
-        self._begin = entry_point(begin_target, *both)
-        self._estimate = entry_point(target_estimates, *both, self._ground)
+        self._step = entry_point(target_step.target_step, *both, *arguments)
+        self._begin = entry_point(target_step.begin_target, *both)
+        self._estimate = entry_point(target_step.target_estimates, *both, self._ground)
         obeys_force = known.options["actuator.kind"] in FORCE_DRIVEN
         self.command = command_arrays(known, self.preview) if obeys_force else None
         if self.command is not None:
@@ -266,9 +251,8 @@ class TargetMotion:
         self.ask_model()
         self._ground[:] = ground_motion
         self._measured[:] = state
-        self._step(
-            self.parameters, self.state, self._ground, self._measured, self.progress, self._points
-        )
+        sample = self._ground, self._measured, self.progress, self._points
+        self._step(self.parameters, self.state, *sample)
         if self.command is not None:
             self._command_step(*self.command, self.parameters, self.state, self._points)
         self._is_asked = False
@@ -299,16 +283,16 @@ class TargetMotion:
 
     def linear(self) -> LinearFilter:
         """Raise an error: there is none."""
-        raise NotLinearError("reference_force", TARGET_MOTION)
+        raise NotLinearError("reference_force", reference_force_parameters.TARGET_MOTION)
 
     def estimates(self) -> dict[str, Floats]:
         """Stiffness, damping and sliders' force of each spring, as identified on line.
 
         With a computed model also its motion, force and responses.
         """
-        found = np.empty((len(ESTIMATE_NAMES), len(self.parameters.mass)))
+        found = np.empty((len(target_step.ESTIMATE_NAMES), len(self.parameters.mass)))
         self._estimate(self.parameters, self.state, found)
-        estimates: dict[str, Floats] = dict(zip(ESTIMATE_NAMES, found, strict=True))
+        estimates: dict[str, Floats] = dict(zip(target_step.ESTIMATE_NAMES, found, strict=True))
         if self.model is None:
             return estimates
         self.ask_model()
@@ -321,7 +305,7 @@ class TargetMotion:
 
 def steps_ahead(known: MethodInputs) -> int:
     """Count the steps of the horizon, with those of a link."""
-    return known.loop_delay + horizon_steps(known.options, known.dt)
+    return known.loop_delay + reference_force_parameters.horizon_steps(known.options, known.dt)
 
 
 def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, ModelLine | None]:
@@ -340,12 +324,13 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     deformation = spring_deformations(known)
     to_springs = np.linalg.inv(deformation.T)
 
-    white, deformed = _spring_noise(known, noise, left, deformation)
+    forces = to_springs**2 @ noise[3] ** 2 + (to_springs @ known.mass) ** 2 @ noise[2] ** 2
+    white, deformed = np.sqrt(forces), np.sqrt(deformation**2 @ left.T**2)
     alike = 2.0 / gains[:, 0, 0].min() - 1.0  # the noise after the observer is correlated
-    mass, damping, stiffness = (
-        np.pad(getattr(known, name), (0, computed.internal)) + getattr(computed, name)
-        for name in ("mass", "damping", "stiffness")
-    )
+    own = known.mass, known.damping, known.stiffness
+    beside = computed.mass, computed.damping, computed.stiffness
+    padded = (np.pad(one, (0, computed.internal)) for one in own)
+    mass, damping, stiffness = (one + more for one, more in zip(padded, beside, strict=True))
     inverse = np.linalg.inv(mass)
     line = None if computed.model is None else ModelLine(computed, inverse, dt)
     none, one = np.zeros((size, size)), np.eye(size)
@@ -354,14 +339,11 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     substeps = max(1, math.ceil(dt / LONGEST_SUBSTEP - 1e-9))
     free, start, change = first_order_hold(a, b, dt / substeps)
     by_spring = np.ascontiguousarray(inverse[:, :n] @ deformation.T)
-    mass_of, damping_of, stiffness_of = (
-        to_springs @ m @ to_springs.T for m in (known.mass, known.damping, known.stiffness)
-    )
+    mass_of, damping_of, stiffness_of = (to_springs @ one @ to_springs.T for one in own)
     frequency = np.sqrt(np.abs(np.diag(deformation @ by_spring[:n]) * np.diag(stiffness_of)))
     axes, dofs = places(n, size)
-    model, model_state = model_arrays(
-        axes, mass_of, damping_of, stiffness_of, white, deformed, alike, frequency, dt
-    )
+    of_springs = mass_of, damping_of, stiffness_of, white, deformed, alike
+    model, model_state = model_arrays(axes, *of_springs, frequency, dt)
     hold = np.ascontiguousarray(np.hstack([free, start]))
     deforming = deformation @ (hold[:n] - np.eye(n, 3 * size))
     accelerations = a[size : size + n]
@@ -397,15 +379,6 @@ def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, M
     given["line"] = np.zeros((0, 2 * size + 2)) if line is None else line.values
     state = zeros(TargetState, sizes | {"3N + n": 3 * size + n}, **given)
     return parameters, state, line
-
-
-def _spring_noise(
-    known: MethodInputs, noise: Floats, left: Floats, deformation: Floats
-) -> tuple[Floats, Floats]:
-    """RMS noise of the force of each spring, (n,), N; of its deformation, observed, and rate."""
-    to_springs = np.linalg.inv(deformation.T)
-    white = to_springs**2 @ noise[3] ** 2 + (to_springs @ known.mass) ** 2 @ noise[2] ** 2
-    return np.sqrt(white), np.sqrt(deformation**2 @ left.T**2)
 
 
 def _of_prediction(
