@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from seft_plant_sim.channels import Derivation
 from seft_plant_sim.judge import detectors as rows
 from seft_plant_sim.judge.detector_step import begin_detectors
-from seft_plant_sim.judge.relation_following import EVERY, remember
+from seft_plant_sim.judge.relation_following import remember
 from seft_plant_sim.judge.valve_following import UNCERTAIN_VALVE, doubt, follow_valve, under_load
 
 RESOLUTION = 1e-9
@@ -49,8 +49,6 @@ def followed(p, relation, i, change, integral, per_delay, rough):
         bias = min(p.deviation[relation, 2, i], 6.0 * np.sqrt(covariance[2, 2]))
         most = 6.0 * noise + bias * sums[3] + rows.TOLERANCES[relation] * whole
         found.append((abs(off), min(6.0 * known, most) + rough[k]))
-        if (k + 1) % EVERY:
-            continue
         covariance = covariance + np.diag(p.drift[relation, :, i])
         doubt = white * noise**2 + p.correlated[relation] * ((rough[k] / 6.0) ** 2 + left)
         gain = covariance @ by / (doubt + by @ covariance @ by)
@@ -60,7 +58,7 @@ def followed(p, relation, i, change, integral, per_delay, rough):
         covariance = joseph @ covariance @ joseph.T + doubt * np.outer(gain, gain)
         estimate = np.clip(estimate + gain * off, *(p.most[relation, :, i] * [[-1.0], [1.0]]))
         size = whole**2 + (20.0 * noise) ** 2
-        counts = whole**2 / size * EVERY * DT / 0.05
+        counts = whole**2 / size * DT / 0.05
         weight = min(weight + counts, 60.0)
         scatter += counts / weight * ((min(off**2, 4.0 * known**2) - noise**2) / size - scatter)
     return np.array(found).T, estimate

@@ -88,10 +88,7 @@ def compare_channels(
     off = sums[CHANGE, i] - following.expected(found, i, *summed)
     whole = max(abs(sums[CHANGE, i]), abs(sums[INTEGRAL, i]), p.memory * state.largest[relation, i])
     state.largest[relation, i] = whole
-    noise, is_due = p.sums[relation, i], state.step[detectors.SAMPLE] % following.EVERY == 0
-    near = min(state.shares[row, i], 1.0) * (noise + rough)  # no threshold is smaller
-    if abs(off) <= near and state.counts[row, i] == 0 and not is_due:
-        return -1  # as mostly
+    noise = p.sums[relation, i]
     by_estimates = following.uncertain(covariance, *summed)
     left = max(scatter[following.SCATTER, i], 0.0) * whole * whole
     known = math.sqrt(noise * noise + NOISE_SIGMAS * NOISE_SIGMAS * (by_estimates + left))
@@ -102,7 +99,7 @@ def compare_channels(
         known = most
     threshold = min(known, most) + rough
     is_fault = detectors.look(p, state, row, i, abs(off), threshold)
-    if is_due and state.counts[row, i] == 0:
+    if state.counts[row, i] == 0:
         persistent = p.correlated[relation] * ((rough / NOISE_SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
         doubt = white * (noise / NOISE_SIGMAS) ** 2 + persistent
@@ -110,7 +107,7 @@ def compare_channels(
         limits, drift = p.most[relation], p.drift[relation]
         following.follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
         usual, by_noise = known / NOISE_SIGMAS, noise / NOISE_SIGMAS
-        following.remember(scatter, i, off, usual, whole, by_noise, following.EVERY * p.rig.dt)
+        following.remember(scatter, i, off, usual, whole, by_noise, p.rig.dt)
     return row * sums.shape[1] + i if is_fault else -1
 
 

@@ -16,7 +16,7 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge import known_rig, valve_following
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
 from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
-from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, EVERY, NOISE_SIGMAS
+from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.servo_model import last_periods
 from seft_plant_sim.judge.valve_model import valve_models
 
@@ -190,8 +190,8 @@ def detector_arrays(
         sums=NOISE_SIGMAS * np.vstack([sums, of_oil]),
         deviation=deviation,
         most=most,
-        drift=(ESTIMATE_DRIFT * deviation) ** 2 * (EVERY * dt),
-        correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / (EVERY * dt)),
+        drift=(ESTIMATE_DRIFT * deviation) ** 2 * dt,
+        correlated=np.maximum(1.0, np.array([_MEMORY, _MEMORY, _OIL_MEMORY]) / dt),
         late=late,
         still=NOISE_SIGMAS * np.hypot(math.sqrt(2.0) * x, dt * v / math.sqrt(2.0)),
         rough=NOISE_SIGMAS * np.sqrt(6.0 * (f**2 + mass**2 @ a**2)) + unknown,

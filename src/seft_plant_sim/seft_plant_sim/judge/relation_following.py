@@ -32,8 +32,6 @@ REMEMBERED = 60.0
 MOTION_TO_NOISE = 20.0
 """Least motion over its noise for the estimate of gain and delay, and that which counts by half for
 what is left."""
-EVERY = 4
-"""Samples from one update to the next: the sums' memory is several times that at any rate."""
 ESTIMATE_DRIFT = 0.003
 """Undetected slow change of an estimate in a second, over its deviation at the beginning."""
 
@@ -126,7 +124,7 @@ def remember(
     whole, noise : float
         Largest recent value of the sums, and the RMS noise of the difference.
     dt : float
-        Time since the last update, s.
+        Sampling period, s.
     """
     size = whole * whole + (MOTION_TO_NOISE * noise) ** 2
     if not 0.0 < size < math.inf:
