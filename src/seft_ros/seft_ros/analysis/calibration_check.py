@@ -1,8 +1,7 @@
 """Mass, scales and lags of a test from its own samples, against what the test knows.
 
 The estimates are those of `seft_ros.analysis.channel_estimates` and
-`seft_ros.analysis.mass_estimate`; what a deviation means for the test is in
-`seft_ros.analysis.calibration_check`.
+`seft_ros.analysis.mass_estimate`; `CalibrationEffect` says what a deviation means for the test.
 """
 
 from collections.abc import Iterator, Sequence

@@ -134,8 +134,7 @@ class OilBalance:
         The parameters p are, here and below, the logarithms of the valve's frequency (Hz) and
         damping ratio, its dead time in ms, the largest force over the force capacity, the
         logarithm of the velocity (m/s) over which friction builds up, and the lag in ms of a
-        Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2),
-        and the lag in ms of the force behind the motion.
+        Butterworth filter of second order that all sensors have: 1 / (1 + s lag + (s lag)^2 / 2).
         """
         valve = ValveModel(math.exp(p[0]), math.exp(p[1]), p[2] / 1e3, self.dt)
         pulse = np.diff(valve.volume(self._times)) / self.dt
