@@ -83,7 +83,7 @@ def test_a_wrong_mass_scale_lag_or_zero_puts_a_test_in_doubt(words, kinds):
 def test_channels_that_wait_for_the_latest_are_read_when_they_are_read():
     """At 250 Hz what is folded down is 0.8 % of the acceleration, and a plant's delay turns it."""
     fault_free, aligned = (
-        expected_relations(load(*PLAN, "rate:=250.0", *words), 5.0)
+        expected_relations(load(*PLAN, "rate:=250.0", *words), 5.0)[0]
         for words in ((), ("calibration.force_lag:=0.0004",))
     )
     assert abs(fault_free[1] - 1.0) > 5e-3

@@ -25,7 +25,6 @@ from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_struct
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, inertia
 from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
 from seft_ros.bags.recording import Recording, every_step
-from seft_ros.design.plant import FOLDED
 from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
 
@@ -412,8 +411,7 @@ def _relations(experiment: Experiment, samples: Floats, frequency: float) -> Ite
     derived = experiment["reference_force"]["sensors.velocity"] == "derived"
     channels = (1, "velocity", v), (2, "acceleration", a)
     for order, channel, y in channels[1:] if derived else channels:
-        own = expected[order - 1]
-        unsure = FOLDED * np.abs(own - 1.0)
+        own, unsure = (each[order - 1] for each in expected)
         if (found := channel_estimates.relation(y, x, order, dt, frequency, unsure)) is not None:
             yield channel, found, np.abs(own), -np.angle(own) / w
 

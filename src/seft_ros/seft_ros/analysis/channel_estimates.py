@@ -38,6 +38,7 @@ from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.calibration import SIGNIFICANT, known_channels
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE, VELOCITY
+from seft_plant_sim.rig_parameters import filter_of
 
 from seft_ros.design.planned_tests import choose_rig
 from seft_ros.design.plant import held_relations
@@ -249,7 +250,7 @@ def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Fl
     expected = expected_relations(experiment, frequency) if known else None
     if expected is None:
         return samples
-    own, a, dt = expected[1], samples[:, ACCELERATION], experiment.timebase.dt
+    own, a, dt = expected[0][1], samples[:, ACCELERATION], experiment.timebase.dt
     late = np.angle(own) / (2 * np.pi * frequency)
     folded = a - moved_ahead(a, -late, dt) / np.abs(own)
     found = samples.copy()
@@ -280,7 +281,7 @@ def with_motion(samples: Floats, of_x: Floats, of_a: Floats, dt: float) -> Float
     return found
 
 
-def expected_relations(experiment: Experiment, frequency: float) -> Complexes | None:
+def expected_relations(experiment: Experiment, frequency: float) -> tuple[Complexes, Floats] | None:
     """Velocity and acceleration of fault-free channels over the derivatives of x.
 
     See `seft_ros.design.plant.held_relations`; it follows from the actuator that the test knows,
@@ -295,25 +296,28 @@ def expected_relations(experiment: Experiment, frequency: float) -> Complexes | 
 
     Returns
     -------
-    ndarray or None
-        Shape (2, n); None if no actuator is known.
+    tuple of ndarray or None
+        They, and what is not known of them, shape (2, n) each; None if no actuator is known.
     """
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):
         return None
     section = experiment["reference_force"]
-    lag = known_channels(section, experiment.axes)["lag"]
+    channels = known_channels(section, experiment.axes)
+    filters = filter_of(channels["filter"], channels["filter_damping"])
     # what the samples wait for after the channels are read turns nothing that is folded down
     at_once = {f"calibration.{name}_{what}": 0.0 for name in CHANNELS for what in ("lag", "filter")}
     known = Experiment({node: experiment[node] | at_once for node in nodes})
+    lag = channels["lag"]
     if section["sensors.velocity"] == "derived":
-        lag[VELOCITY] = lag[0]
+        for each in (lag, *filters):
+            each[VELOCITY] = each[DISPLACEMENT]
     try:
-        plant = choose_rig(known).plant
-        held = held_relations(plant, np.array([frequency]), experiment.timebase.dt, lag)
+        plant, dt = choose_rig(known).plant, experiment.timebase.dt
+        held, unsure = held_relations(plant, np.array([frequency]), dt, lag, filters)
     except (InputError, KeyError):
         return None
-    return held[0]
+    return held[0], unsure[0]
 
 
 def acceleration_zero(x: Floats, a: Floats, dt: float) -> tuple[Floats, Floats]:

@@ -246,17 +246,25 @@ class Plant:
         return above[int(peaks.argmax())] if above else None
 
 
-FOLDED = 0.5
-"""Part of what held commands fold down (`held_relations`) that is not known: filters and lags of a
-channel change it. It is part of the standard errors of scales."""
+FOLDED = 0.2
+"""Part of what held commands fold down (`held_relations`) that is not known: it goes with the
+square of a valve's frequency, which is known to a tenth."""
+
+_IMAGES = np.arange(-20, 21)  # of a motion in held commands: they fall with the fourth power
 
 
-def held_relations(plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats) -> Complexes:
+def held_relations(
+    plant: Plant,
+    frequencies_hz: Floats,
+    dt: float,
+    lag: Floats,
+    filters: tuple[Floats, Floats] | None = None,
+) -> tuple[Complexes, Floats]:
     """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
 
-    They differ from 1 because a command is held over a period: what that makes at higher
-    frequencies folds down. In the acceleration it is 0.1 % at 500 Hz and 0.8 % at 250 Hz with a
-    valve of 70 Hz and an oil column of 90 Hz.
+    They differ from 1 because a command is held over a period: its images at f + k / dt are in the
+    samples, too, as far as the plant and a channel pass them. In the acceleration that is 0.1 % at
+    500 Hz and 0.8 % at 250 Hz with a valve of 70 Hz and an oil column of 90 Hz.
 
     Parameters
     ----------
@@ -267,21 +275,35 @@ def held_relations(plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats)
     dt : float
         Sampling period, s.
     lag : ndarray
-        Of each channel, shape (4, n), s, to which they are aligned after sampling: it turns what is
-        folded down.
+        Of each channel, shape (4, n), s, to which they are aligned after sampling.
+    filters : tuple of ndarray, optional
+        p (s) and q (s^2) of each channel's filter, (4, n) each, see
+        `seft_plant_sim.rig_parameters.filter_of`.
 
     Returns
     -------
-    ndarray
+    relations : ndarray
         Of each axis that moves by its own drive, shape (m, 2, n).
+    unsure : ndarray
+        What is not known of them, same shape: a lag may be that of a filter, and see `FOLDED`.
     """
-    a, b, c = replace(plant, late=lag.ravel() if lag.any() else None).sampled(dt)
-    n, s = b.shape[1], 2j * np.pi * np.asarray(frequencies_hz)
-    response = lti.state_space_response(a, b, c, np.zeros((len(c), n)), np.exp(s * dt))
-    own = np.einsum("mcii->mci", response.reshape(len(s), 4, n, n))
-    x, v, acceleration, _ = np.moveaxis(own * np.exp(np.multiply.outer(s, lag)), 1, 0)
-    s = s[:, np.newaxis]
-    return np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
+    n, own = plant.b.shape[1], 2j * np.pi * np.asarray(frequencies_hz)[:, np.newaxis]
+    s = own + 2j * np.pi * _IMAGES / dt
+    response = lti.state_space_response(plant.a, plant.b, plant.c, plant.d, s.ravel())
+    held = np.einsum("mcii->mci", response.reshape(-1, 4, n, n)).reshape(*s.shape, 4, n)
+    s, own = (each[..., np.newaxis, np.newaxis] for each in (s, own))
+    held = held * np.exp(-s * plant.delay) / s
+
+    def relations(wait: Floats, p: Floats, q: Floats) -> Complexes:
+        passed = np.exp((own - s) * wait) * (1 + own * (p + own * q)) / (1 + s * (p + s * q))
+        x, v, acceleration, _ = np.moveaxis((held * passed).sum(axis=1), 1, 0)
+        first = own[:, 0, 0]
+        return np.stack([v / (first * x), acceleration / (first * first * x)], axis=1)
+
+    p, q = filters or np.zeros((2, *lag.shape))
+    found = relations(lag, p, q)
+    filtered = relations(np.zeros_like(lag), p + lag, q + 0.5 * lag**2)
+    return found, np.abs(found - filtered) + FOLDED * np.abs(found - 1.0)
 
 
 def rig_model(

@@ -66,7 +66,10 @@ class OilBalance:
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
         self.largest_force = float(np.abs(forces).max())
         self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
-        self._of_motion = self._of(self.velocity)
+        self._of_motion, self._of_travel = (
+            self._of(self.velocity),
+            self._of(np.diff(positions) / dt),
+        )
         self._of_force = np.stack([self._of(self.rise), self._of(self.between)], axis=1)
         noise_left = np.add.reduceat(noise, self._blocks) / self._counts**2
         power = drive / self._counts
@@ -105,17 +108,20 @@ class OilBalance:
         return (total[high] - total[low]) / (high - low)
 
     def _motion(self, positions: Floats, accelerations: Floats) -> tuple[Floats, Floats, Floats]:
-        """Velocity from displacement and acceleration, each where it has the less noise.
+        """Velocity from displacement and acceleration, each where it has the less error.
 
-        Both have white noise, whose powers follow from their difference. Returned are the
-        velocity at the beginning of each period and its mean over it, in m/s, and the power of
-        the remaining noise at each line of the spectrum within the band.
+        Both have white noise, whose powers follow from their difference. Images of the held
+        commands at 1 / dt - f fold down to the acceleration at f; there the actuator moves no more
+        than at the end of the band. Returned are the velocity at the beginning of each period and
+        its mean over it, in m/s, and the power of the displacement's noise in such a mean at each
+        line of the spectrum within the band.
         """
         s = 2j * np.pi * np.maximum(self._hz, self._hz[1])
         change = np.expm1(s * self.dt)
         gains = np.stack([change / self.dt, change / (self.dt * s * s)])  # of x and a
         by_position = self._spectrum(np.diff(positions) / self.dt)
-        both = np.stack([by_position, gains[1] * self._spectrum(accelerations[:-1])])
+        accelerated = self._spectrum(accelerations[:-1])
+        both = np.stack([by_position, gains[1] * accelerated])
         powers = np.abs(gains) ** 2
         bins = np.unique(np.geomspace(1, self._used.sum(), _BINS).astype(int)) - 1
         off = np.add.reduceat(np.abs(both[0] - both[1])[self._used] ** 2, bins)
@@ -123,10 +129,18 @@ class OilBalance:
         rows = rows / np.maximum(off, 1e-30)[:, np.newaxis]
         sizes = np.linalg.norm(rows, axis=0)
         sensors = np.maximum(nnls(rows / sizes, np.ones(len(off)))[0] / sizes, 1e-30)
-        weights = 1.0 / (sensors[:, np.newaxis] * powers)
-        total = weights.sum(axis=0)
-        mean = (weights * both).sum(axis=0) / total
-        return self._back(mean * s * self.dt / change), self._back(mean), 1.0 / total[self._used]
+        noise = sensors[:, np.newaxis] * powers
+        noise[1] += np.abs(gains[1] * self._images(accelerated)) ** 2
+        weights = 1.0 / noise
+        mean = (weights * both).sum(axis=0) / weights.sum(axis=0)
+        return self._back(mean * s * self.dt / change), self._back(mean), noise[0, self._used]
+
+    def _images(self, accelerated: Complexes) -> Complexes:
+        """Give the most that images of the commands make of a spectrum, at each of its lines."""
+        last = np.flatnonzero(self._used)[-_AVERAGED:]
+        at_end, commands = self._hz[last].mean(), self._commands[last]
+        gain = np.vdot(commands, accelerated[last]) / np.vdot(commands, commands).real
+        return gain * self._commands * at_end / (1.0 / self.dt - self._hz)
 
     def flow(self, p: Floats) -> Floats:
         """Flow of the commands over q, V, shape (N - 1,).
@@ -152,17 +166,20 @@ class OilBalance:
         v = self._at_samples
         return float(v @ np.tanh(v / math.exp(p[4]))) / max(float(v @ v), 1e-30)
 
-    def left(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats]:
+    def left(self, p: Floats, deviation: Floats, by_x: bool = False) -> tuple[Floats, Floats]:
         """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
-        solution, _, errors = self.solve(p, deviation)
+        solution, _, errors = self.solve(p, deviation, by_x)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
         flow = np.abs(solution[0] * self._of_last(self.flow, p, slice(6))) ** 2
         return self.smooth(power), self.smooth(flow)
 
-    def solve(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
+    def solve(
+        self, p: Floats, deviation: Floats, by_x: bool = False
+    ) -> tuple[Floats, Floats, Floats]:
         """Solve v = q w - (f' + lambda f + friction') / k_oil for its linear parameters.
 
-        Of parameters p, see `flow`, with an expected error at each frequency, shape (F,).
+        Of parameters p, see `flow`, with an expected error at each frequency, shape (F,); with
+        ``by_x`` by the displacement alone, which no lag of the acceleration misleads.
 
         Returns
         -------
@@ -173,7 +190,8 @@ class OilBalance:
         """
         flow = self._of_last(self.flow, p, slice(6))
         slip = self._of_last(self.slip, p, slice(4, 5))
-        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
+        motion = self._of_travel if by_x else self._of_motion
+        terms = np.column_stack([flow, -self._of_force, -slip, motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
         columns, target = split[:, :4], split[:, 4]
@@ -339,19 +357,29 @@ def _fitted(oil: OilBalance, p: Floats, filtered: bool) -> tuple[Floats, Floats,
     for _ in range(2):
         power, flow = oil.left(p, deviation)
         deviation = np.sqrt(power + _TOLERANCE**2 * flow + 1e-30)
-        found = _least_squares(errors, p[free], 1e-6, deviation)
+        found = _least_squares(errors, p[free], oil.dt, 1e-6, deviation)
         p = np.append(found.x, p[len(found.x) :])
     return p, deviation, found.jac
 
 
 def _least_squares(
-    errors: Callable[..., Floats], start: Floats, tolerance: float, *given: Floats
+    errors: Callable[..., Floats], start: Floats, dt: float, tolerance: float, *given: Floats
 ) -> OptimizeResult:
-    """Search the first parameters from a start, within their bounds."""
-    free, most = slice(len(start)), _MOST_STEPS
-    bounds, scale = (_LOWEST[free], _HIGHEST[free]), _SCALE[free]
+    """Search the first parameters from a start, within their bounds.
+
+    Of a valve beyond half the rate samples show the delay alone, and its image seems a slower one.
+    """
+    free, highest = slice(len(start)), np.append(math.log(0.5 / dt), _HIGHEST[1:])
+    bounds, scale = (_LOWEST[free], np.minimum(highest, _HIGHEST)[free]), _SCALE[free]
+    start = np.minimum(start, bounds[1])
     return least_squares(
-        errors, start, bounds=bounds, x_scale=scale, ftol=tolerance, max_nfev=most, args=given
+        errors,
+        start,
+        bounds=bounds,
+        x_scale=scale,
+        ftol=tolerance,
+        max_nfev=_MOST_STEPS,
+        args=given,
     )
 
 
@@ -367,18 +395,18 @@ def _roughly(oil: OilBalance) -> Floats:
         return np.append(found, [0.0, _OVER, 0.0])
 
     def errors(found: Floats) -> Floats:
-        return oil.solve(whole(found), oil.rough)[2]
+        return oil.solve(whole(found), oil.rough, by_x=True)[2]
 
     def unexplained(p: Floats) -> float:
         """Share of the flow, mean over frequencies."""
-        power, flow = oil.left(p, oil.rough)
+        power, flow = oil.left(p, oil.rough, by_x=True)
         return float(np.minimum(power / np.maximum(flow, 1e-30), 1.0).mean())
 
     best = []
     for hz in _VALVES:
         starts = [np.array([math.log(hz), _DAMPING, dead_time]) for dead_time in _DEAD_TIMES]
         start = min(starts, key=lambda found: float(np.sum(errors(found) ** 2)))
-        best.append(whole(_least_squares(errors, start, 1e-4).x))
+        best.append(whole(_least_squares(errors, start, oil.dt, 1e-4).x))
     found = min(best, key=unexplained)
     found[3] = _LOAD
     return found

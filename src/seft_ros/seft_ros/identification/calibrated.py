@@ -15,7 +15,7 @@ from seft_msgs_py.wire.topics import MEASURED, RIG_STATE, VALVE_COMMAND, of_one_
 from seft_plant_sim import calibration
 from seft_plant_sim.calibration import NOTHING_KNOWN, SIGNIFICANT, TILT, significant
 from seft_plant_sim.channels import ACCELERATION, FORCE, VELOCITY, tilt_of, velocity_is_derived
-from seft_plant_sim.rig_parameters import common_filter
+from seft_plant_sim.rig_parameters import common_filter, filter_of
 
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.drawing.style import TextTable
@@ -257,7 +257,9 @@ class MultisineResult:
         late = known.found["lag"] - known.found["lag"].min()
         times = [valve.actuator.dead_time for valve in found.valves] or [0.0]  # of servos
         dead_time = np.mean(times) - late.max() - known.common_filter[0]
-        fault_free = fault_free_relations(found, sines, dt, max(float(dead_time), 0.0), late)
+        passed = filter_of(filters.filter, filters.filter_damping)
+        seen = max(float(dead_time), 0.0), late, passed
+        fault_free = fault_free_relations(found, sines, dt, *seen)
         derived = velocity_is_derived(experiment["reference_force"])
         fit = estimates.fit_multisine(of, fault_free, derived, tilt_elsewhere)
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
@@ -385,7 +387,7 @@ def rough_calibration(
     that of ``filters``: at these frequencies friction spoils it.
     """
     of, fault_free, derived = _low_lines(recording, band, filters)
-    fit = estimates.fit_multisine(of, fault_free, derived)
+    fit = estimates.fit_multisine(of, (fault_free, np.zeros(fault_free.shape)), derived)
     fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
     return Calibrated.of_multisine(fit, filters, recording.experiment)
 

@@ -312,8 +312,13 @@ def gains_after(multisine: Multisine, moved: Floats) -> Floats:
 
 
 def fault_free_relations(
-    found: Identified, sines: Sequence[Sine], dt: float, dead_time: float, lag: Floats
-) -> Complexes:
+    found: Identified,
+    sines: Sequence[Sine],
+    dt: float,
+    dead_time: float,
+    lag: Floats,
+    filters: tuple[Floats, Floats],
+) -> tuple[Complexes, Floats]:
     """Velocity and acceleration of a fault-free rig over x's derivatives, see `held_relations`.
 
     Parameters
@@ -324,15 +329,20 @@ def fault_free_relations(
         Of the valves alone, s.
     lag : ndarray
         Of each channel, shape (4, n), s.
+    filters : tuple of ndarray
+        p and q of each channel's filter, (4, n) each.
 
     Returns
     -------
-    ndarray
+    relations : ndarray
         Shape (m, 2), without the lags themselves.
+    unsure : ndarray
+        What is not known of them, shape (m, 2).
     """
     frequencies = np.array([sine.frequency for sine in sines])
     if found.has_servos:  # what folds down is what a servo does not follow
-        return np.ones((len(sines), 2), dtype=np.complex128)
-    plant = replace(_plant(found), delay=dead_time)
-    held = held_relations(plant, frequencies, dt, lag)
-    return held[np.arange(len(sines)), :, [sine.axis for sine in sines]]
+        return np.ones((len(sines), 2), dtype=np.complex128), np.zeros((len(sines), 2))
+    plant, at = replace(_plant(found), delay=dead_time), np.arange(len(sines))
+    held, unsure = held_relations(plant, frequencies, dt, lag, filters)
+    moved = [sine.axis for sine in sines]
+    return held[at, :, moved], unsure[at, :, moved]

@@ -51,7 +51,6 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.calibration import SIGNIFICANT, significant
 from seft_plant_sim.channels import FORCE
 
-from seft_ros.design.plant import FOLDED
 from seft_ros.identification.multisine import Sine
 from seft_ros.reference_force.restoring_model import stop_operators
 
@@ -308,7 +307,7 @@ class MultisineFit:
 
 def fit_multisine(
     of: Harmonics,
-    fault_free: Complexes,
+    fault_free: tuple[Complexes, Floats],
     derived: bool = False,
     tilt_elsewhere: tuple[Floats, Floats] | None = None,
 ) -> MultisineFit:
@@ -318,9 +317,9 @@ def fit_multisine(
     ----------
     of : Harmonics
         Of at least five sines on each axis.
-    fault-free : ndarray
+    fault_free : tuple of ndarray
         Velocity and acceleration that a fault-free rig shows, over the derivatives of the
-        displacement, shape (m, 2): a held command folds down.
+        displacement, and what is not known of them, shape (m, 2) each: a held command folds down.
     derived : bool
         Whether the velocity is derived from the displacement.
     tilt_elsewhere : tuple of ndarray, optional
@@ -330,8 +329,9 @@ def fit_multisine(
     scale, lag = np.ones((4, n)), np.zeros((4, n))
     scale_error, lag_error = np.zeros((4, n)), np.zeros((4, n))
     acceleration = of.amplitude[:, 2].copy()
-    folded = FOLDED * np.abs(fault_free - 1.0).max(axis=0)
-    tilt, tilt_error = tilt_shown(of, fault_free, derived)
+    expected, unsure = fault_free
+    folded = unsure.max(axis=0)
+    tilt, tilt_error = tilt_shown(of, expected, derived)
     if tilt_elsewhere is not None:
         tilt, tilt_error = _mean_tilt((tilt, tilt_error), tilt_elsewhere)
     seen = np.abs(tilt - np.eye(n)) > SIGNIFICANT * tilt_error
@@ -339,7 +339,7 @@ def fit_multisine(
     tilt[~is_tilted], tilt_error[~is_tilted] = np.eye(n)[~is_tilted], 0.0
     for order, i in ((order, i) for order in (1, 2) for i in range(n)):
         crossed = bool(is_tilted[i]) if order == 2 else None
-        own, aligning = _relation(of, order, i, fault_free[:, order - 1], crossed)
+        own, aligning = _relation(of, order, i, expected[:, order - 1], crossed)
         scale[order, i] = own.value[i]
         rounding = math.hypot(of.rounding[0, i], of.rounding[order, i])
         scale_error[order, i] = math.hypot(own.error[i], folded[order - 1], rounding)
