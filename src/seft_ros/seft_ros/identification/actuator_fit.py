@@ -140,7 +140,8 @@ class OilBalance:
         last = np.flatnonzero(self._used)[-_AVERAGED:]
         at_end, commands = self._hz[last].mean(), self._commands[last]
         gain = np.vdot(commands, accelerated[last]) / np.vdot(commands, commands).real
-        return gain * self._commands * at_end / (1.0 / self.dt - self._hz)
+        images: Complexes = gain * self._commands * at_end / (1.0 / self.dt - self._hz)
+        return images
 
     def flow(self, p: Floats) -> Floats:
         """Flow of the commands over q, V, shape (N - 1,).
