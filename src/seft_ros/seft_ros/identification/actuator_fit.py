@@ -139,9 +139,8 @@ class OilBalance:
         """Give the most that images of the commands make of a spectrum, at each of its lines."""
         last = np.flatnonzero(self._used)[-_AVERAGED:]
         at_end, commands = self._hz[last].mean(), self._commands[last]
-        gain = np.vdot(commands, accelerated[last]) / np.vdot(commands, commands).real
-        images: Complexes = gain * self._commands * at_end / (1.0 / self.dt - self._hz)
-        return images
+        gain = commands.conj() @ accelerated[last] / (commands.conj() @ commands)
+        return self._commands * gain * (at_end / (1.0 / self.dt - self._hz))
 
     def flow(self, p: Floats) -> Floats:
         """Flow of the commands over q, V, shape (N - 1,).
