@@ -262,6 +262,7 @@ class MultisineResult:
         fault_free = fault_free_relations(found, sines, dt, *seen)
         derived = velocity_is_derived(experiment["reference_force"])
         fit = estimates.fit_multisine(of, fault_free, derived, tilt_elsewhere)
+        fit = fit.behind_filters(filters.unsure(of.w))
         least, error = np.linalg.eigvalsh(fit.mass)[0], np.linalg.norm(fit.mass_error)
         if least <= SIGNIFICANT * error:
             sticks = f"the specimen sticks under sines of {1e3 * multisine.travel:.3g} mm"

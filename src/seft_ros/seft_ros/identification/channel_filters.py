@@ -14,7 +14,7 @@ nothing is seen; it counts as dead time.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from seft_msgs_py.arrays import Complexes, Floats
@@ -86,6 +86,16 @@ class ChannelFilters:
         p, q = filter_of(self.filter, self.filter_damping)
         s = 1j * np.asarray(w)[..., np.newaxis, np.newaxis]
         return np.asarray(1.0 / (1.0 + p * s + q * s * s))
+
+    def unsure(self, w: Floats) -> Floats:
+        """Give what the standard errors mean for the response, relative and at most, (4, n)."""
+        own, every = self.response(w), vars(self)
+        others = (
+            replace(self, **{name: every[name] + every[f"{name}_error"]}).response(w)
+            for name in ("filter", "filter_damping")
+        )
+        off: Floats = np.linalg.norm([np.abs(one / own - 1.0) for one in others], axis=0)
+        return off.max(axis=0)
 
 
 @dataclass(frozen=True)

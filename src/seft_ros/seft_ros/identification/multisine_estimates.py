@@ -49,7 +49,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.calibration import SIGNIFICANT, significant
-from seft_plant_sim.channels import FORCE
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 
 from seft_ros.identification.multisine import Sine
 from seft_ros.reference_force.restoring_model import stop_operators
@@ -281,6 +281,17 @@ class MultisineFit:
     def rubs(self) -> bool:
         """Whether the specimen dissipates what does not depend on rate: it rubs, or yields."""
         return bool((self.hysteresis > SIGNIFICANT * self.hysteresis_error).any())
+
+    def behind_filters(self, unsure: Floats) -> "MultisineFit":
+        """Add what is not known of the response of the channels' filters, relative, (4, n)."""
+        of_mass = np.hypot(unsure[FORCE][:, np.newaxis], unsure[ACCELERATION]) * self.mass
+        of_scale = np.hypot(unsure, unsure[DISPLACEMENT]) * self.scale
+        of_scale[[DISPLACEMENT, FORCE]] = 0.0
+        return replace(
+            self,
+            mass_error=np.hypot(self.mass_error, of_mass),
+            scale_error=np.hypot(self.scale_error, of_scale),
+        )
 
     def weighed(self, mass: Floats) -> "MultisineFit":
         """Take the masses of the axes for known, (n,), kg: the load cells are off by the rest.
