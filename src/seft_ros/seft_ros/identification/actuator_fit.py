@@ -66,10 +66,7 @@ class OilBalance:
         self.rise, self.between = np.diff(forces) / dt, (forces[:-1] + forces[1:]) / 2
         self.largest_force = float(np.abs(forces).max())
         self._at_samples, self.velocity, noise = self._motion(positions, accelerations)
-        self._of_motion, self._of_travel = (
-            self._of(self.velocity),
-            self._of(np.diff(positions) / dt),
-        )
+        self._of_motion = self._of(self.velocity)
         self._of_force = np.stack([self._of(self.rise), self._of(self.between)], axis=1)
         noise_left = np.add.reduceat(noise, self._blocks) / self._counts**2
         power = drive / self._counts
@@ -166,20 +163,17 @@ class OilBalance:
         v = self._at_samples
         return float(v @ np.tanh(v / math.exp(p[4]))) / max(float(v @ v), 1e-30)
 
-    def left(self, p: Floats, deviation: Floats, by_x: bool = False) -> tuple[Floats, Floats]:
+    def left(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats]:
         """Power of the residual of `solve`, and of the commands' flow; shape (F,), smoothed."""
-        solution, _, errors = self.solve(p, deviation, by_x)
+        solution, _, errors = self.solve(p, deviation)
         power = (errors.reshape(2, -1) ** 2).sum(axis=0) * deviation**2
         flow = np.abs(solution[0] * self._of_last(self.flow, p, slice(6))) ** 2
         return self.smooth(power), self.smooth(flow)
 
-    def solve(
-        self, p: Floats, deviation: Floats, by_x: bool = False
-    ) -> tuple[Floats, Floats, Floats]:
+    def solve(self, p: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
         """Solve v = q w - (f' + lambda f + friction') / k_oil for its linear parameters.
 
-        Of parameters p, see `flow`, with an expected error at each frequency, shape (F,); with
-        ``by_x`` by the displacement alone, which no lag of the acceleration misleads.
+        Of parameters p, see `flow`, with an expected error at each frequency, shape (F,).
 
         Returns
         -------
@@ -190,8 +184,7 @@ class OilBalance:
         """
         flow = self._of_last(self.flow, p, slice(6))
         slip = self._of_last(self.slip, p, slice(4, 5))
-        motion = self._of_travel if by_x else self._of_motion
-        terms = np.column_stack([flow, -self._of_force, -slip, motion])
+        terms = np.column_stack([flow, -self._of_force, -slip, self._of_motion])
         terms = terms / deviation[:, np.newaxis]
         split = np.concatenate([terms.real, terms.imag])
         columns, target = split[:, :4], split[:, 4]
@@ -369,17 +362,12 @@ def _least_squares(
 
     Of a valve beyond half the rate samples show the delay alone, and its image seems a slower one.
     """
-    free, highest = slice(len(start)), np.append(math.log(0.5 / dt), _HIGHEST[1:])
-    bounds, scale = (_LOWEST[free], np.minimum(highest, _HIGHEST)[free]), _SCALE[free]
-    start = np.minimum(start, bounds[1])
+    free, most, highest = slice(len(start)), _MOST_STEPS, _HIGHEST.copy()
+    highest[0] = min(math.log(0.5 / dt), highest[0])
+    start, bounds = np.minimum(start, highest[free]), (_LOWEST[free], highest[free])
+    scale = _SCALE[free]
     return least_squares(
-        errors,
-        start,
-        bounds=bounds,
-        x_scale=scale,
-        ftol=tolerance,
-        max_nfev=_MOST_STEPS,
-        args=given,
+        errors, start, bounds=bounds, x_scale=scale, ftol=tolerance, max_nfev=most, args=given
     )
 
 
@@ -395,11 +383,11 @@ def _roughly(oil: OilBalance) -> Floats:
         return np.append(found, [0.0, _OVER, 0.0])
 
     def errors(found: Floats) -> Floats:
-        return oil.solve(whole(found), oil.rough, by_x=True)[2]
+        return oil.solve(whole(found), oil.rough)[2]
 
     def unexplained(p: Floats) -> float:
         """Share of the flow, mean over frequencies."""
-        power, flow = oil.left(p, oil.rough, by_x=True)
+        power, flow = oil.left(p, oil.rough)
         return float(np.minimum(power / np.maximum(flow, 1e-30), 1.0).mean())
 
     best = []
