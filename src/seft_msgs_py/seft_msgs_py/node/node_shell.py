@@ -305,7 +305,7 @@ def run_nodes(
     argv = sys.argv if argv is None else argv
     try:
         if transport is None:
-            from seft_msgs_py.node.dds import DdsTransport  # needs ROS, and a virtual graph does not
+            from seft_msgs_py.node.dds import DdsTransport  # a virtual graph needs no ROS
 
             transport = DdsTransport
         process = NodeProcess(argv, [kind.table.node for kind in kinds], transport)
