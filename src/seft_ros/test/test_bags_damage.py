@@ -106,11 +106,11 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         assert bool(recording.damage) == changed
         before = (path / "bag.mcap").read_bytes()
         recovery = recover_bag(path)
-        assert recovery.intact == (not changed)
+        assert (recovery.original is None) == (not changed)
         if changed:
             assert recovery.original == path.with_name("bag.cut")
             assert (recovery.original / "bag.mcap").read_bytes() == before
-        assert recover_bag(path).intact
+        assert recover_bag(path).original is None
         assert {entry.name for entry in path.iterdir()} == {"bag.mcap", "metadata.yaml"}
         assert not path.with_name("bag.recovering").exists()
         whole_again = read_bag(path)

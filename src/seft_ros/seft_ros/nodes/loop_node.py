@@ -18,14 +18,13 @@ from seft_ros.nodes.ground_motion_node import GROUND_MOTION_NODE as GROUND_MOTIO
 from seft_ros.nodes.recorder_node import RECORDER_NODE as RECORDER
 from seft_ros.nodes.reference_force_node import REFERENCE_FORCE_NODE as REFERENCE_FORCE
 from seft_ros.nodes.supervisor_node import SUPERVISOR_NODE as SUPERVISOR
+from seft_ros.test_run.processes import LOOP_NODES
 
 NODE_KINDS: dict[str, NodeKind] = {
     kind.table.node: kind
     for kind in (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR, RECORDER)
 }
 """All nodes of a test, by name."""
-_IN_LOOP = ("rig", "reference_force", "force_controller")
-"""The rig comes first: it is the clock, and spins for all."""
 
 
 def main() -> int:
@@ -40,12 +39,12 @@ def _main() -> int:
         epilog="ROS arguments follow --ros-args, as for every node.",
     )
     parser.add_argument(
-        "--nodes", nargs="+", choices=_IN_LOOP, default=_IN_LOOP, help="default: all of them"
+        "--nodes", nargs="+", choices=LOOP_NODES, default=LOOP_NODES, help="default: all of them"
     )
     words = sys.argv[1:]
     ros = words.index("--ros-args") if "--ros-args" in words else len(words)
     wanted = parser.parse_args(words[:ros]).nodes
-    return run_nodes(*(NODE_KINDS[node] for node in _IN_LOOP if node in wanted))
+    return run_nodes(*(NODE_KINDS[node] for node in LOOP_NODES if node in wanted))
 
 
 if __name__ == "__main__":
