@@ -245,11 +245,8 @@ def test_as_a_linear_model_what_waits_is_late():
 
 
 def test_as_a_linear_model_all_have_the_slowest_filter():
-    values = {
-        "force_filter": 60.0,
-        "acceleration_filter": 100.0,
-        "acceleration_filter_damping": 1.0,
-    }
+    values = {"force_filter": 60.0, "acceleration_filter": 100.0}
+    values["acceleration_filter_damping"] = 1.0
     both = {f"{where}.{n}": v for where in ("sensors", "calibration") for n, v in values.items()}
     section, plain = rig_section(**both), continuous_model(rig_section(), ("x",))
     found = as_published(continuous_model(section, ("x",)), section, ("x",))
