@@ -16,9 +16,9 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 from seft_msgs_py.config.experiment import Experiment, value_text
-from seft_msgs_py.wire.topics import bare, rig_name, with_rigs
+from seft_msgs_py.wire.topics import LOOP_NODES, bare, rig_name, with_rigs
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.processes import LOOP_NODES, MODULES, ProcessLayout
+from seft_ros.test_run.processes import MODULES, ProcessLayout
 
 BAG = "name of the bag; empty: the experiment's, or date and time of the start"
 RIG = "hardware: a laboratory's driver runs already, or is started beside this"

@@ -11,6 +11,7 @@ import sys
 
 from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_msgs_py.printing import unbroken
+from seft_msgs_py.wire.topics import LOOP_NODES
 from seft_plant_sim.rig_node import RIG_NODE as RIG
 
 from seft_ros.nodes.force_controller_node import FORCE_CONTROLLER_NODE as FORCE_CONTROLLER
@@ -18,7 +19,6 @@ from seft_ros.nodes.ground_motion_node import GROUND_MOTION_NODE as GROUND_MOTIO
 from seft_ros.nodes.recorder_node import RECORDER_NODE as RECORDER
 from seft_ros.nodes.reference_force_node import REFERENCE_FORCE_NODE as REFERENCE_FORCE
 from seft_ros.nodes.supervisor_node import SUPERVISOR_NODE as SUPERVISOR
-from seft_ros.test_run.processes import LOOP_NODES
 
 NODE_KINDS: dict[str, NodeKind] = {
     kind.table.node: kind
