@@ -1,7 +1,5 @@
 """What `seft check` finds of a rig with one thing wrong each, on the virtual clock."""
 
-import json
-
 import numpy as np
 import pytest
 from experiments_at_hand import JHU, load
@@ -262,14 +260,13 @@ def test_a_motion_that_goes_too_far_ends(checked):
     assert rests == "the rig is at rest"
 
 
-def test_the_command_asks_before_it_moves_and_tries_a_simulated_rig(seft, monkeypatch):
+def test_the_command_asks_before_it_moves_and_tries_a_simulated_rig(seft, seft_json, monkeypatch):
     status, _, errors = seft("check", JHU, "-p", HOSTED)
     assert status == 2
     assert "the rig will be moved (0.2 V, stopped at 5 mm): say --yes" in errors
     monkeypatch.setattr("seft_msgs_py.node.transport.MACHINE", VirtualClock(Scheduler()))
-    status, out, errors = seft("check", JHU, "--json")
-    result = json.loads(out)
-    assert (status, result["good"], result["rest"]) == (0, True, "the rig is at rest")
+    result = seft_json("check", JHU)
+    assert (result["good"], result["rest"]) == (True, "the rig is at rest")
     assert set(result["checks"][0]) == {"name", "ok", "text"}
     monkeypatch.setattr(Board, "valve", -1.0)
     status, out, _ = seft("check", JHU, "-p", HOSTED, "--yes")
