@@ -28,6 +28,21 @@ def seft_json(seft):
 
 
 @pytest.fixture
+def refused(seft):
+    """Run what must be refused; give the one line."""
+
+    def run(*words):
+        status, out, err = seft(*words)
+        assert (status, out) == (2, "")
+        assert err.count("\n") == 1
+        assert err.startswith("seft: ")
+        assert "Traceback" not in err
+        return err
+
+    return run
+
+
+@pytest.fixture
 def read(tmp_path):
     """Read a text or bytes as a ground motion; gives the record."""
     from seft_ros.ground_motion.record_file import read_record  # which few tests need

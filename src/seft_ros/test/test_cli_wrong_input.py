@@ -19,21 +19,6 @@ TRUE = "rig:simulated."
 
 
 @pytest.fixture
-def refused(seft):
-    """Run what must be refused; give the one line."""
-
-    def run(*words):
-        status, out, err = seft(*words)
-        assert (status, out) == (2, "")
-        assert err.count("\n") == 1
-        assert err.startswith("seft: ")
-        assert "Traceback" not in err
-        return err
-
-    return run
-
-
-@pytest.fixture
 def record(tmp_path):
     """Words that make an experiment read a file of this name and text."""
 

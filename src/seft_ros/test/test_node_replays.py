@@ -102,13 +102,10 @@ def test_commands_that_a_rig_says_it_applied_are_replayed(blocks, held):
     ],
 )
 def test_what_was_reported_and_is_not_there_is_named(
-    seft, recording, bag_of, node, topic, expected
+    refused, recording, bag_of, node, topic, expected
 ):
     bag = bag_of(without(recording, topic.name, [40]))
-    status, _, errors = seft("replay", bag, "--node", node)
-    line = errors.strip().splitlines()[-1]
-    assert status == 2
-    assert expected in line
+    assert expected in refused("replay", bag, "--node", node)
 
 
 @pytest.mark.parametrize(
@@ -135,10 +132,8 @@ def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(seft, recording, bag_of, words, expected):
-    status, _, errors = seft("replay", bag_of(recording), *words)
-    assert status == 2
-    assert expected in errors.strip().splitlines()[-1]
+def test_wrong_words_are_refused_in_one_line(refused, recording, bag_of, words, expected):
+    assert expected in refused("replay", bag_of(recording), *words)
 
 
 def test_a_bag_that_begins_late_or_has_two_tests_is_refused(seft, recording, bag_of, tmp_path):
