@@ -6,23 +6,18 @@ from local_tools import THREE_SECONDS, assert_same, offline, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND, rehearsed
 
 
-@pytest.mark.parametrize("config", [JHU, DEMO])
-def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, config):
-    graph = local_graph(THREE_SECONDS, config=config)
+@pytest.mark.parametrize(("config", "duration"), [(JHU, None), (DEMO, 2.5)])
+def test_a_test_after_a_rehearsal_has_the_bits_of_the_offline_loop(local_graph, config, duration):
+    asked = [f"supervisor:rehearsal.duration:={duration}"] if duration else []
+    graph = local_graph(THREE_SECONDS, *asked, config=config)
     perform(graph)
     steps, states = graph.samples(rehearsed(RIG_STATE))
-    assert steps == list(range(1000))
+    assert steps == list(range(1250 if duration else 1000))
     assert abs(states[:, 0]).max() < 1e-4  # m: it does not obey
     assert graph.samples(rehearsed(VALVE_COMMAND))[0] == steps
     assert_same(graph, offline(graph))
     assert graph.values["detail"] == "1851 steps done"
     assert graph.status("rig")["missed"] == "0"
-
-
-def test_a_rehearsal_takes_as_long_as_is_asked_for(local_graph):
-    graph = local_graph(THREE_SECONDS, "supervisor:rehearsal.duration:=2.5")
-    perform(graph)
-    assert graph.samples(rehearsed(RIG_STATE))[0] == list(range(1250))
 
 
 @pytest.mark.parametrize(
@@ -44,15 +39,12 @@ def test_a_loop_that_answers_late_is_refused_with_a_rate_that_fits(local_graph, 
     assert graph.call("start")[0] is False
 
 
-def test_a_loop_that_does_not_answer_is_refused(local_graph):
+def test_a_loop_that_does_not_answer_is_refused_and_its_rehearsal_ends_with_its_node(local_graph):
     graph = local_graph(THREE_SECONDS)
     graph.drop(rehearsed(VALVE_COMMAND), range(1000))
     graph.until(lambda: "no answer came" in graph.values.get("detail", ""))
-
-
-def test_a_rehearsal_ends_with_its_node(local_graph):
-    graph = local_graph(THREE_SECONDS)
-    graph.until(lambda: len(graph.samples(rehearsed(RIG_STATE))[0]) > 100)
+    graph.call("reset")
+    graph.until(lambda: len(graph.samples(rehearsed(RIG_STATE))[0]) > 1100)
     graph.terminate("rig")
     graph.until(lambda: graph.endings == {"rig": 0}, within=0.5)
 

@@ -8,8 +8,6 @@ setup(
     name=NAME,
     version="0.1.0",
     description="The wire of a substructure effective force test: topics, samples <-> bytes",
-    author="Seed e22a9f6a maintainers",
-    author_email="maintainers@users.noreply.h-seed-e22a9f6a.example",
     maintainer="Seed e22a9f6a maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-e22a9f6a.example",
     license="Apache-2.0",

@@ -1,9 +1,7 @@
 import contextlib
 import json
-import os
 import subprocess
 import sys
-import threading
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -314,17 +312,6 @@ def test_an_experiment_hands_on_the_files_and_overrides_that_it_was_read_from(tm
     assert experiment["rig"]["seed"] == 8
     files, overrides, _ = split_ros_arguments(["--ros-args", *experiment.arguments()])
     assert Experiment.load(TABLES, files, overrides).sections == experiment.sections
-
-
-def test_what_was_read_from_a_pipe_is_handed_on_by_value(tmp_path):
-    text = parameter_text({"/**": {"axes": ["x"], "specimen.mass": 2.0}})
-    os.mkfifo(pipe := tmp_path / "pipe")
-    writer = threading.Thread(target=pipe.write_text, args=[text])
-    writer.start()
-    experiment = Experiment.load([RIG], [pipe])
-    writer.join()
-    assert "--params-file" not in experiment.arguments()
-    assert "/**:specimen.mass:=2.0" in experiment.arguments()
 
 
 def test_a_node_checks_its_own_section_and_leaves_the_others_to_their_nodes(tmp_path):

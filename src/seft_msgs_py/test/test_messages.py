@@ -13,7 +13,7 @@ from seft_msgs_py.wire import messages
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
 from seft_msgs_py.wire.outcome import State
 from seft_msgs_py.wire.topics import GROUND_MOTION, LOOP_TOPICS, MEASURED, Timebase
-from seft_msgs_py.wire.trajectory import TrajectoryCodec, parse_trajectory
+from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 rclpy_serialization = pytest.importorskip("rclpy.serialization")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
@@ -229,7 +229,6 @@ ANY_DECODERS = {
     "clock": (messages.decode_clock, messages.encode_clock(10**9)),
     "description": (messages.decode_description, messages.encode_string(DESCRIBED)),
     "estimates": (CODEC.decode, CODEC.encode(3, GOOD)),
-    "trajectory": (parse_trajectory, CODECS[1].encode(3, np.ones((6, 2)))),
     **{
         codec.topic.name: (codec.decode, codec.encode(3, np.ones((len(codec.topic.quantities), 2))))
         for codec in CODECS

@@ -67,6 +67,12 @@ def driven(rig, commands):
     return np.array(found)
 
 
+def transfer(model, hz):
+    """From the drives to what is seen of a model, shape (4n, n)."""
+    s, shown = 2j * np.pi * hz, model.shown
+    return shown.c @ np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b) + shown.d
+
+
 class BareRig(SimulatedRig):
     """Rig of a model, or of what is linear in it; its sensors have no noise, and nothing trips."""
 

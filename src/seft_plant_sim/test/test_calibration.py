@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bare_rig import driven, make_rig, rig_section
+from bare_rig import driven, make_rig, rig_section, transfer
 from scipy.signal import lfilter
 from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
@@ -245,23 +245,14 @@ def test_as_a_linear_model_what_waits_is_late():
 
 
 def test_as_a_linear_model_all_have_the_slowest_filter():
-    values = {
-        "force_filter": 60.0,
-        "acceleration_filter": 100.0,
-        "acceleration_filter_damping": 1.0,
-    }
+    values = {"force_filter": 60.0, "acceleration_filter": 100.0}
+    values["acceleration_filter_damping"] = 1.0
     both = {f"{where}.{n}": v for where in ("sensors", "calibration") for n, v in values.items()}
     section, plain = rig_section(**both), continuous_model(rig_section(), ("x",))
     found = as_published(continuous_model(section, ("x",)), section, ("x",))
     for hz in (5.0, 60.0, 200.0):
         expected = low_pass(hz, 60.0, 0.7071) * transfer(plain, hz)
         np.testing.assert_allclose(transfer(found, hz), expected, rtol=1e-9)
-
-
-def transfer(model, hz):
-    """From the drive to what is seen of a model, shape (4n, n)."""
-    s, shown = 2j * np.pi * hz, model.shown
-    return shown.c @ np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b) + shown.d
 
 
 def test_as_a_linear_model_a_known_tilt_is_taken_out():

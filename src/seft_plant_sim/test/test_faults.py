@@ -138,10 +138,17 @@ SIGNAL = [1.0, 2.0, 4.0, 7.0, 11.0, 16.0]
         ("force late 0.003 at 0.004", [1, 2, 1.5, 3, 5.5, 9]),
         ("force late 1 at 0.004", [1, 2, 1, 1, 1, 1]),
         ("force flip at 0.0041", [1, 2, 4, -7, -11, -16]),
+        ("valve stick at 0.004 for 3", [1, 2, 4, 4, 4, 16]),
+        ("valve open -10 at 0.004", [1, 2, -10, -10, -10, -10]),
+        ("valve null 100 at 0.004", [1, 2, 4, 7.2, 11.4, 16.6]),
+        ("valve set 3 at 0.004 for 1", [1, 2, 3, 7, 11, 16]),
+        ("valve add 2 at 0.004", [1, 2, 6, 9, 13, 18]),
+        ("valve late 0.004 at 0.004", [1, 2, 1, 2, 4, 7]),
     ],
 )
-def test_a_sensor_shows_its_fault(line, expected):
-    np.testing.assert_allclose(shown(line, SIGNAL), expected, rtol=1e-14)
+def test_a_sensor_shows_its_fault_and_a_valve_obeys_it(line, expected):
+    found = (obeyed if line.startswith("valve") else shown)(line, SIGNAL)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
 def test_a_sensor_may_show_what_is_no_number():
@@ -170,21 +177,6 @@ def test_a_bit_of_the_converter_flips():
         assert shown(f"force bit {bit} at 0", codes, **CONVERTER) == expected
     lost = shown("force bit 3 at 0", [np.nan], **CONVERTER)
     assert np.isnan(lost[0])
-
-
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
-        ("valve stick at 0.004 for 3", [1, 2, 4, 4, 4, 16]),
-        ("valve open -10 at 0.004", [1, 2, -10, -10, -10, -10]),
-        ("valve null 100 at 0.004", [1, 2, 4, 7.2, 11.4, 16.6]),
-        ("valve set 3 at 0.004 for 1", [1, 2, 3, 7, 11, 16]),
-        ("valve add 2 at 0.004", [1, 2, 6, 9, 13, 18]),
-        ("valve late 0.004 at 0.004", [1, 2, 1, 2, 4, 7]),
-    ],
-)
-def test_a_valve_obeys_its_fault(line, expected):
-    np.testing.assert_allclose(obeyed(line, SIGNAL), expected, rtol=1e-14)
 
 
 def test_a_valve_with_hysteresis_follows_half_its_width_behind():

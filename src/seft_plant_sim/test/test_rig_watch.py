@@ -16,13 +16,7 @@ from seft_msgs_py.wire.messages import OK, Status, encode_diagnostics
 from seft_msgs_py.wire.outcome import RECORDED, RECORDER_NODE_NAME, ROUND_TRIPS, STOPPED, State
 from seft_msgs_py.wire.topics import VALVE_COMMAND
 from seft_plant_sim import rig_watch
-from seft_plant_sim.rig_watch import (
-    CommandWatch,
-    RecorderLag,
-    RoundTrip,
-    SampleClock,
-    Supervision,
-)
+from seft_plant_sim.rig_watch import CommandWatch, RecorderLag, RoundTrip, SampleClock, Supervision
 
 PERIOD, TIMEOUT = 0.002, 0.02
 ALLOWED = 10  # steps
@@ -150,9 +144,8 @@ def clock(monkeypatch):
 
 def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(clock):
     def hear(*statuses):
-        lag.receive(
-            encode_diagnostics(0, [Status(name, OK, "", values=v) for name, v in statuses]), 0
-        )
+        told = [Status(name, OK, "", values=values) for name, values in statuses]
+        lag.receive(encode_diagnostics(0, told), 0)
 
     lag = RecorderLag(1.5, MACHINE)
     assert not lag.is_large(10_000)  # it has never been heard
@@ -167,9 +160,7 @@ def test_a_rig_waits_for_a_recorder_that_is_far_behind_but_not_for_a_silent_one(
     assert [lag.is_large(step) for step in (3172, 3173)] == [False, True]
     lag.reset()
     assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
-    hear(
-        (RECORDER_NODE_NAME, {RECORDED: "500"}), (RECORDER_NODE_NAME, {})
-    )  # that has begun nothing
+    hear((RECORDER_NODE_NAME, {RECORDED: "500"}), (RECORDER_NODE_NAME, {}))  # nothing is begun
     assert [lag.is_large(step) for step in (3071, 3072)] == [False, True]
 
 
@@ -207,10 +198,7 @@ def test_a_rig_moves_from_start_to_end_and_not_again(listener):
     assert listener.tell("running", steps=9)
     assert listener.supervision.reason_to_end() is None
     assert listener.tell("ramping_down", "running", steps=9)
-    assert (listener.supervision.state, listener.supervision.wanted.steps) == (
-        "running",
-        9,
-    )
+    assert (listener.supervision.state, listener.supervision.wanted.steps) == ("running", 9)
     assert not listener.tell("done")
     assert listener.supervision.reason_to_end() == STOPPED
     with pytest.raises(WireError, match="began before this rig"):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bare_rig import FRAME, BareRig, driven, make_rig, rig_section
+from bare_rig import FRAME, BareRig, driven, make_rig, rig_section, transfer
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import rigs_of
@@ -29,12 +29,6 @@ def behind(model, scale=1.0, mix=None, lag=0.0, cutoff=0.0):
     scale, lag, cutoff = rows
     filters = np.array(filter_of(cutoff, np.sqrt(0.5)))
     return sensed(model, scale, np.eye(n) if mix is None else np.array(mix), lag, filters)
-
-
-def transfer(model, hz):
-    """From drives to what the sensors show, shape (4n, n)."""
-    s, shown = 2j * np.pi * hz, model.sensed or model
-    return shown.c @ np.linalg.solve(s * np.eye(len(model.a)) - model.a, model.b) + shown.d
 
 
 def butterworth(hz):

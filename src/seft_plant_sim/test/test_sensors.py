@@ -11,6 +11,7 @@ import pytest
 from bare_rig import rig_section
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from seft_msgs_py.config.facts import CHANNELS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.simulated.sensors import Channels, Sensors, measure_channels
@@ -99,11 +100,8 @@ def test_parameters_are_one_number_or_one_for_each_axis():
     same = from_parameters(**dict.fromkeys(names, 2.0))
     np.testing.assert_array_equal(same.measure(4, 0 * STATE), noise([4], np.full((4, 2), 2.0))[0])
     true = "rig: simulated."
-    for name, place in {
-        "force_noise": true,
-        "displacement_bias": true,
-        "force_range": "/**: ",
-    }.items():
+    places = {"force_noise": true, "displacement_bias": true, "force_range": "/**: "}
+    for name, place in places.items():
         with pytest.raises(InputError) as refused:
             from_parameters(**{name: [1.0, 2.0, 3.0]})
         assert str(refused.value).startswith(f"{place}sensors.{name}: 3 values for 2 axes")
@@ -127,12 +125,10 @@ def test_a_sensor_shows_what_is_within_its_range_as_it_is(values):
 
 @given(st.integers(1, 24), st.floats(-0.999, 0.999))
 def test_a_converter_gives_the_nearest_multiple_of_its_resolution(bits, part):
-    ranges = {"displacement": 0.1, "velocity": 1.0, "acceleration": 40.0, "force": 22200.0}
-    one = from_parameters(
-        adc_bits=bits, axes=("x",), **{f"{name}_range": value for name, value in ranges.items()}
-    )
-    truth = part * np.array(list(ranges.values()))[:, np.newaxis]
-    step = 2 * np.array(list(ranges.values()))[:, np.newaxis] / 2**bits
+    ranges = np.array([[0.1], [1.0], [40.0], [22200.0]])
+    given_ranges = zip((f"{name}_range" for name in CHANNELS), ranges[:, 0].tolist(), strict=True)
+    one = from_parameters(adc_bits=bits, axes=("x",), **dict(given_ranges))
+    truth, step = part * ranges, 2 * ranges / 2**bits
     measured = one.measure(0, truth)
     np.testing.assert_allclose(measured / step, np.rint(measured / step), rtol=1e-15, atol=0)
     assert (np.abs(measured - truth) <= 0.5000001 * step).all()

@@ -15,10 +15,10 @@ from launch.event_handlers import OnProcessStart
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
-from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.wire.topics import bare, rig_name, with_rigs
+from seft_msgs_py.config.experiment import Experiment, value_text
+from seft_msgs_py.wire.topics import LOOP_NODES, bare, rig_name, with_rigs
 from seft_ros.test_run.parameter_tables import TABLES
-from seft_ros.test_run.processes import LOOP_NODES, MODULES, ProcessLayout
+from seft_ros.test_run.processes import MODULES, ProcessLayout
 
 BAG = "name of the bag; empty: the experiment's, or date and time of the start"
 RIG = "hardware: a laboratory's driver runs already, or is started beside this"
@@ -87,27 +87,18 @@ def _put(placement, node, process):
 
 def _process(group, config, overrides):
     alone, names = len(group) == 1, [bare(node) for node in group]
-    own = [override for override in overrides if override[0] in names]
+    own = [f"{node}:{name}:={value_text(v)}" for node, name, v in overrides if node in names]
     return Node(
         package="seft_plant_sim" if names == ["rig"] else "seft_ros",
         executable=names[0] if alone else "loop",
         namespace=rig_name(group[0]) or None,
         arguments=[] if alone else ["--nodes", *names],
         parameters=[config],
-        ros_arguments=[word for override in own for word in ("-p", _written(*override))],
+        ros_arguments=[word for override in own for word in ("-p", override)],
         output="screen",
         emulate_tty=True,
         on_exit=Shutdown(reason=f"{', '.join(group)} has ended"),
     )
-
-
-def _written(node, name, value):
-    text = value
-    if isinstance(value, list):
-        text = f"[{', '.join(value)}]"
-    elif isinstance(value, bool):
-        text = str(value).lower()
-    return f"{node}:{name}:={text}"
 
 
 def generate_launch_description():

@@ -1,5 +1,6 @@
 """What tests of commands and of records share."""
 
+import json
 from functools import partial
 
 import pytest
@@ -12,6 +13,33 @@ def seft(monkeypatch, tmp_path):
     """Run the command line in an empty folder; (status, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
     return partial(run_seft, tmp_path)
+
+
+@pytest.fixture
+def seft_json(seft):
+    """Run `seft ... --json`; give the object it prints, and nothing else."""
+
+    def run(*words, status=0):
+        ended, out, err = seft(*words, "--json")
+        assert ended == status, err
+        return json.loads(out)
+
+    return run
+
+
+@pytest.fixture
+def refused(seft):
+    """Run what must be refused; give the one line."""
+
+    def run(*words):
+        status, out, err = seft(*words)
+        assert (status, out) == (2, "")
+        assert err.count("\n") == 1
+        assert err.startswith("seft: ")
+        assert "Traceback" not in err
+        return err
+
+    return run
 
 
 @pytest.fixture

@@ -130,7 +130,6 @@ def test_an_intact_bag_is_left_untouched(tmp_path, storage):
     _ = stock_bag(path, storage=storage) if storage else write_bag(path)
     before = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in path.iterdir()}
     recovery = recover_bag(path)
-    assert recovery.intact
     assert recovery.messages == 13
     assert "intact" in str(recovery)
     assert ("without checksums" in str(recovery)) == (storage is not None)

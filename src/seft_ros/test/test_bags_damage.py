@@ -1,6 +1,5 @@
 """Whatever happens to a bag's files: what is reported is right, and what is wrong is named."""
 
-import json
 import random
 import shutil
 
@@ -106,11 +105,11 @@ def test_what_is_read_is_right_and_recover_agrees(whole, tmp_path, kind):
         assert bool(recording.damage) == changed
         before = (path / "bag.mcap").read_bytes()
         recovery = recover_bag(path)
-        assert recovery.intact == (not changed)
+        assert (recovery.original is None) == (not changed)
         if changed:
             assert recovery.original == path.with_name("bag.cut")
             assert (recovery.original / "bag.mcap").read_bytes() == before
-        assert recover_bag(path).intact
+        assert recover_bag(path).original is None
         assert {entry.name for entry in path.iterdir()} == {"bag.mcap", "metadata.yaml"}
         assert not path.with_name("bag.recovering").exists()
         whole_again = read_bag(path)
@@ -138,7 +137,7 @@ def test_a_test_that_another_program_has_written_anew_is_the_same(whole, tmp_pat
     assert_same_samples(found, original)
 
 
-def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path):
+def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, seft_json, tmp_path):
     source, original = whole
     path = tmp_path / "bag"
     shutil.copytree(source, path)
@@ -147,9 +146,7 @@ def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path
         at = raw.index(original.series["rig/state"].values[step, 0].tobytes())
         raw[at : at + size] = bytes(size)
     (path / "bag.mcap").write_bytes(raw)
-    status, out, _ = seft("report", "bag", "--json")
-    summary = json.loads(out)
-    assert status == 1
+    summary = seft_json("report", "bag", status=1)
     missing = [line for line in summary["damage"] if line.startswith("rig/state: ")]
     assert missing[0].startswith(f"rig/state: {summary['lost']['rig/state']} of ")
     assert " steps are missing, " in missing[0]
@@ -159,7 +156,7 @@ def test_the_report_of_a_damaged_bag_names_what_is_missing(whole, seft, tmp_path
     status, out, _ = seft("recover", "bag")
     assert status == 0
     assert set(summary["damage"]) >= set(out.splitlines()[:-1])
-    again = json.loads(seft("report", "bag", "--json")[1])
+    again = seft_json("report", "bag", status=1)
     assert again["damage"] == summary["damage"]
     assert again["displacement"] == summary["displacement"]
     status, _, errors = seft("compare", "bag.cut", "bag", "--json")

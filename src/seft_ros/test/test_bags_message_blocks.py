@@ -103,15 +103,12 @@ def test_messages_and_definitions_are_found_between_other_records(chunk):
     assert list(others) == definitions
 
 
-@pytest.mark.parametrize("cut", [1, 8, 9, 20, 38])
-def test_a_chunk_that_is_cut_off_is_damage(cut):
-    record = struct.pack("<BQ", 5, 30) + bytes(30)
-    with pytest.raises(ValueError, match="do not fit"):
-        records_of(record[:-cut])
+CUT_OFF = [(30, cut) for cut in (1, 8, 9, 20, 38)]
+TOO_LONG = [(length, 0) for length in (0, 21, 31, 1 << 62, 1 << 63, (1 << 64) - 1)]
 
 
-@pytest.mark.parametrize("length", [0, 21, 31, 1 << 62, 1 << 63, (1 << 64) - 1])
-def test_a_record_of_an_impossible_length_is_damage(length):
+@pytest.mark.parametrize(("length", "cut"), CUT_OFF + TOO_LONG)
+def test_a_chunk_that_is_cut_off_or_has_an_impossible_record_is_damage(length, cut):
     record = struct.pack("<BQ", 5, length) + bytes(30)
     with pytest.raises(ValueError, match="do not fit"):
-        records_of(record)
+        records_of(record[: len(record) - cut])

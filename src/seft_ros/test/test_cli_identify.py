@@ -85,7 +85,7 @@ def test_plant_loop_and_closed_loop_agree_with_the_analytic_model(linear):
     assert found["fit_error"] < 0.06
 
 
-def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
+def test_the_folder_holds_what_repeats_and_uses_it(linear, seft_json):
     out, found = linear
     tests = {"pilot", "open_loop", "multisine_pilot", "multisine", "closed_loop"}
     names = {f"{name}.csv" for name in ("excitation", "pilot", "multisine_pilot", "multisine")}
@@ -115,9 +115,8 @@ def test_the_folder_holds_what_repeats_and_uses_it(linear, seft):
     dead_times = load(files=[out / "model.yaml"])["force_controller"]["actuator.dead_time"]
     assert dead_times == [pytest.approx(0.001, abs=5e-5)]
 
-    with_model = ("--params-file", out / "model.yaml", "--json")
-    status, text, _ = seft("simulate", JHU, *with_model, "-p", "ground_motion:tail:=0.5")
-    assert (status, json.loads(text)["stable"]) == (0, True)
+    with_model = ("--params-file", out / "model.yaml", "-p", "ground_motion:tail:=0.5")
+    assert seft_json("simulate", JHU, *with_model)["stable"] is True
 
 
 SENSORS = (
@@ -141,7 +140,7 @@ def with_truth(*overrides):
     return [word for text in (*overrides, *pinned) for word in ("-p", text)]
 
 
-def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
+def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft, seft_json):
     status, found, _ = identify(*BRIEF, "--specimen", "--out", "out", overrides=SENSORS)
     assert status == 0
     assert found["actuator"]["flow_gain_m_per_s_per_v"] == pytest.approx(0.0403, rel=0.01)
@@ -151,10 +150,9 @@ def test_a_rig_whose_channels_disagree_is_corrected_by_the_file(identify, seft):
     assert written["/**"]["actuator.dead_time"] == [pytest.approx(0.001, abs=1e-4)]
     assert written["/**"]["specimen.damping"] == [pytest.approx(800.3, rel=0.03)]
     words = with_truth(*PLAN, "ground_motion:peak_force:=400.0", *SENSORS)
-    assert seft("simulate", JHU, *words, "--json")[0] == 1  # it trips
-    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
-    summary = json.loads(text)
-    assert (status, summary["stable"]) == (0, True)
+    assert seft("simulate", JHU, *words)[0] == 1  # it trips
+    summary = seft_json("simulate", JHU, "--params-file", "out/model.yaml", *words)
+    assert summary["stable"] is True
     assert summary["displacement"]["nrmse_aligned"] < 0.01
     mass = summary["calibration"]["axes"]["x"]["force"]["mass"]
     assert mass["error"] < 0.2  # with that of the multisine test
@@ -173,7 +171,9 @@ def test_a_host_that_misses_commands_is_reported(monkeypatch, tmp_path, capsys):
     assert not capsys.readouterr().err
 
 
-def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(identify, seft):
+def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(
+    identify, seft, seft_json
+):
     """With a controller that needs the actuators, and no word of the specimen."""
     unknown = "actuator.flow_gain:=0.0"
     overrides = (
@@ -192,10 +192,9 @@ def test_a_rig_is_identified_unknown_and_the_model_holds_for_another_specimen(id
         "rig:simulated.specimen.kind:=bilinear",
         "rig:simulated.specimen.yield_displacement:=0.003",
     )
-    assert seft("simulate", JHU, *words, "-p", unknown, "--json")[0] == 2
-    status, text, _ = seft("simulate", JHU, "--params-file", "out/model.yaml", *words, "--json")
-    summary = json.loads(text)
-    assert (status, summary["stable"]) == (0, True)
+    assert seft("simulate", JHU, *words, "-p", unknown)[0] == 2
+    summary = seft_json("simulate", JHU, "--params-file", "out/model.yaml", *words)
+    assert summary["stable"] is True
     assert summary["displacement"]["nrmse"] < 0.02
 
 

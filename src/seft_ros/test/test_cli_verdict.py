@@ -1,7 +1,6 @@
 """`seft run`, `simulate` and `report` give a test the same verdicts: in words, page and JSON."""
 
 import html
-import json
 from dataclasses import replace
 from functools import cache
 
@@ -68,7 +67,7 @@ PAGES = ("right", "biased", "tripped")
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, name):
+def test_terminal_page_and_json_give_the_same_verdicts(seft_json, tmp_path, capsys, name):
     make, word, reason = RECORDINGS[name]
     recording = make()
     show_test(recording, None, as_json=False, figure=False)
@@ -78,7 +77,7 @@ def test_terminal_page_and_json_give_the_same_verdicts(seft, tmp_path, capsys, n
     if name not in PAGES:
         return
     write_recording(recording, tmp_path / "bag")
-    found = json.loads(seft("report", "bag", "--json")[1])
+    found = seft_json("report", "bag", status=int(name == "tripped"))
     page = html.unescape((tmp_path / "bag" / "report.html").read_text())
     for key, begin in (("verdict", BY_TRUTH), ("laboratory_verdict", IN_LABORATORY)):
         mark, line = found[key]["verdict"], found[key]["text"]

@@ -19,21 +19,6 @@ TRUE = "rig:simulated."
 
 
 @pytest.fixture
-def refused(seft):
-    """Run what must be refused; give the one line."""
-
-    def run(*words):
-        status, out, err = seft(*words)
-        assert (status, out) == (2, "")
-        assert err.count("\n") == 1
-        assert err.startswith("seft: ")
-        assert "Traceback" not in err
-        return err
-
-    return run
-
-
-@pytest.fixture
 def record(tmp_path):
     """Words that make an experiment read a file of this name and text."""
 
@@ -105,17 +90,13 @@ def test_a_test_that_trips_ends_with_status_1_and_says_so(seft, tmp_path):
     assert list(tmp_path.iterdir()) == []  # nothing is written without --out
 
 
-def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
-    status, out, _ = seft("simulate", JHU, *SHORT, "--out", "bag", "--no-figure", "--json")
-    assert status == 0
-    simulated = json.loads(out)  # one object and nothing else
+def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft_json, tmp_path):
+    simulated = seft_json("simulate", JHU, *SHORT, "--out", "bag", "--no-figure")
     assert (simulated["stable"], simulated["trip"]) == (True, None)
     assert simulated["rate_hz"] == 500.0
     assert simulated["steps"] == 1501  # 4 s twice as fast, 1 s of tail
     assert simulated["duration_s"] == pytest.approx(3.002)
-    status, out, _ = seft("report", "bag", "--csv", "histories", "--json")
-    assert status == 0
-    reported = json.loads(out)
+    reported = seft_json("report", "bag", "--csv", "histories")
     del reported["page"], simulated["events"], reported["events"]  # a bag has them
     assert {key for key in simulated if simulated[key] != reported.get(key)} == set()
     assert 0.0 < reported["simulated"]["displacement_peak"] < 0.02
@@ -123,27 +104,25 @@ def test_out_names_the_folder_of_the_bag_which_reports_the_same(seft, tmp_path):
     assert len(lines) == 1 + reported["steps"]
 
 
-def test_motion_prints_one_json_object_and_draws_where_asked(seft, record, tmp_path):
+def test_motion_prints_one_json_object_and_draws_where_asked(seft_json, record, tmp_path):
     record("tent.txt", "0\n2\n0\n-4\n0\n")
-    words = ("--unit", "m/s2", "--dt", "0.01", "--rate", "100", "--json")
-    status, out, _ = seft("motion", "tent.txt", *words)
-    assert status == 0
-    assert json.loads(out)["peak_acceleration"] == [4.0]
+    words = ("motion", "tent.txt", "--unit", "m/s2", "--dt", "0.01", "--rate", "100")
+    assert seft_json(*words)["peak_acceleration"] == [4.0]
     assert [path.name for path in tmp_path.iterdir()] == ["tent.txt"]
-    assert seft("motion", "tent.txt", *words, "--figure", "tent")[0] == 0
+    seft_json(*words, "--figure", "tent")
     assert (tmp_path / "tent.png").stat().st_size > 1000
-    assert seft("motion", "tent.txt", *words, "--csv", "spectrum.csv")[0] == 0
+    seft_json(*words, "--csv", "spectrum.csv")
     spectrum = np.loadtxt(tmp_path / "spectrum.csv", delimiter=",", skiprows=1)
     assert spectrum.shape == (150, 2)
     assert (tmp_path / "spectrum.csv").read_text().startswith("period (s),motion pseudo-acc")
 
 
-def test_simulate_and_motion_tell_the_same_of_a_ground_motion(seft, record):
+def test_simulate_and_motion_tell_the_same_of_a_ground_motion(seft, seft_json, record):
     text = "".join(f"{0.01 * k:.2f},{100 * np.sin(np.pi * k / 10):.6f}\n" for k in range(101))
     words = record("own.csv", text, unit="cm/s2", peak_force=105.4, time_scale=0.5, tail=0.5)
-    simulated = json.loads(seft("simulate", JHU, *words, "--json")[1])["ground_motion"]
+    simulated = seft_json("simulate", JHU, *words)["ground_motion"]
     assert (simulated["scale_factor"], simulated["duration_s"]) == pytest.approx((2.0, 0.5))
-    shown = json.loads(seft("motion", "--config", JHU, *words, "--json")[1])
+    shown = seft_json("motion", "--config", JHU, *words)
     assert {name: shown[name] for name in simulated} == simulated
     message = " ".join(seft("simulate", JHU, *words)[1].split())
     assert "own.csv in cm/s2, dt 0.01 s" in message

@@ -119,12 +119,7 @@ def test_a_peak_in_any_words_must_be_that_of_the_record(read, refuses, words):
     assert stated(read(text.format(words.format(0.9996)))) == ("cm/s2", 0.01)
     for wrong in (9.8, 0.1):
         refuses("line 1 states a peak of", text.format(words.format(wrong)))
-    for other in (
-        "trigger",
-        "range",
-        "horizontal",
-        "vector",
-    ):  # not the record's, or not this one's
+    for other in ("trigger", "range", "horizontal", "vector"):  # not of this record
         read(text.format(f"{words.format(9.8)} {other}"))
 
 

@@ -35,7 +35,8 @@ def test_the_delay_covers_nearly_all_round_trips_and_one_step_more():
     rare = np.full(1000, 0.0119)
     rare[500] = 0.5
     assert trips(range(1000), rare, 1000).loop_delay == 7
-    assert trips(range(10), 0.004).rate_within_a_step == pytest.approx(250.0)
+    numbers = trips(range(10), 0.004).numbers_by_name()
+    assert numbers["rate_within_a_step_hz"] == pytest.approx(250.0)
 
 
 def test_the_delay_of_the_loop_lowers_the_mass_ratio_that_preflight_allows():

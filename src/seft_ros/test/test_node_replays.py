@@ -1,6 +1,5 @@
 """A recorded test fed to the blocks once more, and what of a bag can't be."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -65,13 +64,11 @@ def held_test(blocks, held):
     return Recording(EXPERIMENT, series, missed=len(held), missed_steps=sorted(held))
 
 
-def test_a_changed_parameter_is_reported_by_step_field_and_values(seft, recording, bag_of):
+def test_a_changed_parameter_is_reported_by_step_field_and_values(seft_json, recording, bag_of):
     words = ("--node", "force_controller", "-p", "force_controller:numerator:=[38.0]")
-    status, out, _ = seft("replay", bag_of(recording), *words, "--json")
-    result = json.loads(out)
+    result = seft_json("replay", bag_of(recording), *words, status=1)
     first = result["first_difference"]
     commands = recording.series[VALVE_COMMAND.name].values[:, 0, 0]
-    assert status == 1
     assert (first["topic"], first["field"], first["axis"]) == ("valve_command", "effort", "x")
     assert first["a"] == commands[first["step"]]
     assert first["b"] == pytest.approx(first["a"] * 38 / 37)
@@ -105,13 +102,10 @@ def test_commands_that_a_rig_says_it_applied_are_replayed(blocks, held):
     ],
 )
 def test_what_was_reported_and_is_not_there_is_named(
-    seft, recording, bag_of, node, topic, expected
+    refused, recording, bag_of, node, topic, expected
 ):
     bag = bag_of(without(recording, topic.name, [40]))
-    status, _, errors = seft("replay", bag, "--node", node)
-    line = errors.strip().splitlines()[-1]
-    assert status == 2
-    assert expected in line
+    assert expected in refused("replay", bag, "--node", node)
 
 
 @pytest.mark.parametrize(
@@ -122,12 +116,11 @@ def test_what_was_reported_and_is_not_there_is_named(
     ],
 )
 def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is_given(
-    seft, recording, blocks, bag_of, node, topic, steps, note
+    seft_json, recording, blocks, bag_of, node, topic, steps, note
 ):
     bag = bag_of(without(recording, topic.name, [40]))
-    status, out, _ = seft("replay", bag, "--node", node, "--json")
-    result = json.loads(out)
-    assert (status, result["notes"]) == (0, [note])
+    result = seft_json("replay", bag, "--node", node)
+    assert result["notes"] == [note]
     assert result["steps"] == (steps or blocks.ground_motion.steps - 1)
 
 
@@ -139,10 +132,8 @@ def test_a_rig_is_replayed_until_a_sample_is_lost_and_an_answer_that_was_lost_is
         (["--node", "rig", "-p", "supervisor:peers:=[rig]"], "the replay is to rig alone"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(seft, recording, bag_of, words, expected):
-    status, _, errors = seft("replay", bag_of(recording), *words)
-    assert status == 2
-    assert expected in errors.strip().splitlines()[-1]
+def test_wrong_words_are_refused_in_one_line(refused, recording, bag_of, words, expected):
+    assert expected in refused("replay", bag_of(recording), *words)
 
 
 def test_a_bag_that_begins_late_or_has_two_tests_is_refused(seft, recording, bag_of, tmp_path):

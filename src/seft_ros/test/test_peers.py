@@ -61,10 +61,11 @@ def lost(publisher, topic, listener, **others):
 
 
 @pytest.mark.parametrize("node", PEERS)
-def test_a_node_that_was_never_heard_is_named(node):
-    statuses, descriptions = graph()
-    del statuses[node]
-    assert missing(PEERS, statuses, descriptions, NOW) == f"node {node}"
+def test_a_node_that_was_never_heard_or_has_no_description_is_named(node):
+    for place, named in enumerate((f"node {node}", f"the parameters of {node}")):
+        said = graph()
+        del said[place][node]
+        assert missing(PEERS, *said, NOW) == named
 
 
 @pytest.mark.parametrize(("age", "expected"), [(TIMEOUT, ""), (TIMEOUT + 0.01, "node rig")])
@@ -72,13 +73,6 @@ def test_a_node_that_fell_silent_counts_as_absent(age, expected):
     statuses, descriptions = graph()
     statuses["rig"] = LastStatus(statuses["rig"].status, NOW - age)
     assert missing(PEERS, statuses, descriptions, NOW) == expected
-
-
-@pytest.mark.parametrize("node", PEERS)
-def test_a_node_without_a_description_is_named(node):
-    statuses, descriptions = graph()
-    del descriptions[node]
-    assert missing(PEERS, statuses, descriptions, NOW) == f"the parameters of {node}"
 
 
 def facts(name, known, other, node="rig"):

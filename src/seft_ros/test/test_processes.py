@@ -5,9 +5,10 @@ from contextlib import contextmanager
 
 import pytest
 from seft_msgs_py.node.host import FIRST_NICENESS
+from seft_msgs_py.wire.topics import LOOP_NODES
 from seft_ros.test_run import processes as of_nodes
 from seft_ros.test_run.node_starter import NodeStarter
-from seft_ros.test_run.processes import LOOP_NODES, NodeProcesses, ProcessLayout
+from seft_ros.test_run.processes import NodeProcesses, ProcessLayout
 
 NODES = (*LOOP_NODES, "recorder")
 ONE_CORE = len(os.sched_getaffinity(0)) < 2

@@ -31,9 +31,9 @@ def known_of(mass, computed, damping, stiffness, dt=0.002):
 ONE = known_of(*(np.array([[value]]) for value in (52.7, 52.7, 800.0, 2.11e5)))
 
 
-def watch(known=ONE, ratio=RATIO, lowest=0.0):
+def watch(known=ONE, lowest=0.0):
     axes = [f"axis{i}" for i in range(known.axes)]
-    return InstabilityWatch(known, axes, ratio, FLOOR, lowest)
+    return InstabilityWatch(known, axes, RATIO, FLOOR, lowest)
 
 
 def states_of(known, acceleration, restoring=0.0):
@@ -47,7 +47,7 @@ def states_of(known, acceleration, restoring=0.0):
 def first_fault(guard, ground_motion, states):
     """Step of the first fault and its text; None."""
     for step, (ground, state) in enumerate(zip(ground_motion, states, strict=True)):
-        if guard.parameters.ratio and watch_step(guard.parameters, guard.state, ground, state):
+        if watch_step(guard.parameters, guard.state, ground, state):
             return step, guard.describe()
     return None
 
@@ -92,12 +92,6 @@ def test_vibration_below_the_band_is_no_matter_of_this_guard():
     acceleration = vibration(2000, ONE.dt, 5.0, 0.0, start=10.0)
     acceleration *= np.minimum(np.arange(2000) / 500, 1)[:, np.newaxis]
     assert first_fault(watch(), np.zeros_like(acceleration), states_of(ONE, acceleration)) is None
-
-
-def test_a_ratio_of_zero_switches_it_off():
-    acceleration = vibration(3000, ONE.dt, 35.0, 5.0)
-    states = states_of(ONE, acceleration)
-    assert first_fault(watch(ratio=0.0), np.zeros_like(acceleration), states) is None
 
 
 def test_a_new_test_begins_at_rest():

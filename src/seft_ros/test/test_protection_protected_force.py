@@ -191,15 +191,6 @@ def test_without_ground_motion_the_ramp_goes_on_without_a_jump():
     assert force.ramp.finished
 
 
-def test_the_cause_is_latched_until_the_next_test():
-    force = protected([np.nan, 1.0, 1.0], ramp=1)
-    run(force, 2)
-    assert force.cause == "reference force is nan N on axis x"
-    force.reset()
-    assert (force.cause, force.ramp.begun, force.ramp.finished) == (None, False, False)
-    assert run(force, 1) == [1.0]
-
-
 def test_over_a_link_the_forces_that_are_settled_are_sent_again():
     force = protected([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], ramp=2, loop_delay=2)
     forces = [force.step(MOTION, STATE).ravel().tolist() for _ in range(4)]

@@ -27,7 +27,7 @@ from seft_msgs_py.config.parameter_table import (
     per_axis,
 )
 from seft_msgs_py.errors import InputError
-from seft_msgs_py.files import check_regular, read_text_of
+from seft_msgs_py.files import check_regular, open_regular
 from seft_msgs_py.wire.topics import NODES, Timebase, rigs_of
 
 PARAMETERS_KEY = "ros__parameters"
@@ -161,8 +161,8 @@ class Experiment:
         They name the files as they were given, so that the node reads what the user wrote.
         """
         source = self._source
-        if source is not None and all(Path(file).is_file() for file in source.files):
-            files, overrides = source.files, source.overrides  # a pipe can't be read again
+        if source is not None:
+            files, overrides = source.files, source.overrides
         else:
             files, whole = (), self.by_place()
             overrides = [(place, *item) for place, own in whole.items() for item in own.items()]
@@ -278,7 +278,8 @@ def read_parameter_file(path: str | Path) -> dict[str, Section]:
     """
     path = Path(path)
     try:
-        content = read_text_of(path, LARGEST_FILE + 1)
+        with open_regular(path) as file:
+            content = file.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputError(
                 f"{path}: is larger than {LARGEST_FILE / 1e6:g} MB, the limit of parameter files; "

@@ -145,6 +145,8 @@ class NodeShell(Wiring):
         Answers requests (std_srvs/Trigger), perhaps in another thread, see `Endpoint.serve`.
     log : callable
         Logs a line, see `Endpoint.log`; it takes a millisecond.
+    spin_once : callable
+        Waits for messages and handles them, see `NodeProcess.spin_once`.
     report, note, add_facts : callable
         See `Heartbeat`.
     """
@@ -158,7 +160,7 @@ class NodeShell(Wiring):
         self._section = section = self.experiment[table.node]
         endpoint = process.transport.join(table.node, section)
         super().__init__(process, endpoint, self.experiment)
-        self.serve, self.log = endpoint.serve, endpoint.log
+        self.serve, self.log, self.spin_once = endpoint.serve, endpoint.log, process.spin_once
         self._heartbeat = heartbeat = Heartbeat(process, endpoint, self, section)
         self.report, self.note = heartbeat.report, heartbeat.note
         self.add_facts = heartbeat.add_facts
@@ -179,10 +181,6 @@ class NodeShell(Wiring):
         self.add_facts(facts)
         self.log("info", "started; the supervisor starts and ends tests")
         self._process.chores += [self.warn, self._heartbeat.renew]
-
-    def spin_once(self, timeout: float = IDLE_WAIT) -> bool:
-        """Wait for messages and handle them, see `NodeProcess.spin_once`."""
-        return self._process.spin_once(timeout)
 
     def attempt(self, what: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Call a function of this node, see `NodeProcess.attempt`."""
@@ -306,7 +304,11 @@ def run_nodes(
     name, status = kinds[0].table.node, 1
     argv = sys.argv if argv is None else argv
     try:
-        process = NodeProcess(argv, [kind.table.node for kind in kinds], transport or _dds())
+        if transport is None:
+            from seft_msgs_py.node.dds import DdsTransport  # a virtual graph needs no ROS
+
+            transport = DdsTransport
+        process = NodeProcess(argv, [kind.table.node for kind in kinds], transport)
     except SeftError as error:
         return _tell(name, error)
     try:
@@ -332,12 +334,6 @@ def run_nodes(
     finally:
         process.close(status)
     return status
-
-
-def _dds() -> MakeTransport:
-    from seft_msgs_py.node.dds import DdsTransport  # needs ROS, and a virtual graph does not
-
-    return DdsTransport
 
 
 def _tell(node: str, error: SeftError) -> int:

@@ -115,6 +115,9 @@ STRING = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
 
 NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor", "recorder")
+LOOP_NODES = ("rig", "reference_force", "force_controller")
+"""Nodes that work one after the other within a step. The rig comes first: it is the clock, and in
+one process spins for all."""
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""

@@ -11,7 +11,7 @@ equal layout, as a bag holds them, by a few array operations.
 import math
 import struct
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -130,33 +130,6 @@ class Layout(NamedTuple):
             return int.from_bytes(raw[:size], "little") & self.mask == self.fixed
         known = np.frombuffer(raw, "<u4", size // 4) & np.frombuffer(self.known, "<u4")
         return known.tobytes() == self.constant
-
-
-class Trajectory(NamedTuple):
-    """A JointTrajectory message, not yet checked against a test; its points are rosbags'."""
-
-    stamp_ns: int
-    axes: tuple[str, ...]
-    points: Sequence[Any]
-
-
-def parse_trajectory(raw: bytes, topic: str = "trajectory") -> Trajectory:
-    """Read a JointTrajectory message; errors name the topic.
-
-    Bytes past the end are ignored, because middlewares round sizes up.
-
-    Raises
-    ------
-    WireError
-        If the bytes end early, are not little-endian CDR, or hold impossible sizes or text.
-    """
-    if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
-        raise WireError(
-            f"{topic}: {len(raw)} bytes that start with {bytes(raw[:4]).hex() or 'nothing'} "
-            "are no little-endian CDR message"
-        )
-    message = decode_message(topics.JOINT_TRAJECTORY, raw, topic)
-    return Trajectory(nanoseconds(message.header.stamp), tuple(message.joint_names), message.points)
 
 
 _Bytes = npt.NDArray[np.uint8]
@@ -289,11 +262,16 @@ class TrajectoryCodec:
             )
 
     def _decode_slowly(self, raw: bytes) -> tuple[int, Floats]:
-        message = parse_trajectory(raw, self.topic.name)
+        """Parse a message field by field; bytes past its end, which DDS adds, are ignored."""
         name = self.topic.name
-        if message.axes != self.axes:
+        if raw[:2] != ENCAPSULATION[:2] or len(raw) < 4:
+            start = bytes(raw[:4]).hex() or "nothing"
+            what = f"{len(raw)} bytes that start with {start}"
+            raise WireError(f"{name}: {what} are no little-endian CDR message")
+        message = decode_message(topics.JOINT_TRAJECTORY, raw, name)
+        if message.joint_names != list(self.axes):
             wanted = f"{list(self.axes)} as configured"
-            raise WireError(f"{name}: axes are {list(message.axes)}, not {wanted}")
+            raise WireError(f"{name}: axes are {message.joint_names}, not {wanted}")
         if not message.points:
             raise WireError(f"{name}: the message holds no point")
         points = self.topic.points(len(message.points))
@@ -320,7 +298,7 @@ class TrajectoryCodec:
                 numbers.extend(given)
         values = np.array(numbers).reshape(-1, len(self.topic.quantities), len(self.axes))
         self._check_finite([], values)
-        return self.timebase.step(message.stamp_ns), values
+        return self.timebase.step(nanoseconds(message.header.stamp)), values
 
 
 class _Batch(NamedTuple):

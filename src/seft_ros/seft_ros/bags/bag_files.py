@@ -252,13 +252,8 @@ class Recovery:
     original: Path | None  # where the damaged original is kept; None if it was intact
     checked: bool  # see `Bag`
 
-    @property
-    def intact(self) -> bool:
-        """Whether there was nothing to do."""
-        return self.original is None
-
     def __str__(self) -> str:
-        if self.intact:
+        if self.original is None:
             known = "" if self.checked else ", without checksums: changed ones are not noticed"
             return f"{self.path} is intact ({self.messages} messages{known}); nothing was done"
         kept = f"the damaged original is kept as {self.original}"

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import datetime
 from functools import lru_cache
 from io import BytesIO, StringIO
 from itertools import chain, count
@@ -25,6 +26,7 @@ from typing import IO, Any, Self, cast
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from ruamel.yaml import YAML
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.config.registered import reason_of
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending
@@ -204,9 +206,7 @@ class BagWriter:
             return self.path
         faults = []
         for folder in (self.path.parent, Path(tempfile.gettempdir())):
-            ends = chain(("", SAVED), (f"{SAVED}{k}" for k in count(2)))
-            names = (f"{self.path.name}{end}" for end in ends)
-            place = next(place for name in names if not (place := folder / name).exists())
+            place = free_place(folder, self.path.name, f"{self.path.name}{SAVED}")
             try:
                 self._copy_to(place)
             except OSError as error:
@@ -421,6 +421,19 @@ def _write_metadata(folder: Path, text: str) -> None:
     part = folder / f"{METADATA}.part"
     part.write_text(text, encoding="utf-8")
     part.replace(folder / METADATA)
+
+
+def free_place(folder: Path, *names: str) -> Path:
+    """Give the first of some names in a folder that is free, or else the last with a number."""
+    numbered = (f"{names[-1]}_{k}" for k in count(2))
+    return next(p for name in chain(names, numbered) if not (p := folder / name).exists())
+
+
+def bag_place(section: Section) -> Path:
+    """Folder of the next bag, by the recorder's section; a default name is a free one."""
+    directory, name = Path(section["directory"]), section["name"]
+    by_time = datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
+    return directory / name if name else free_place(directory, by_time)
 
 
 _LEFT = 4 << 20  # bytes that must stay free beside the bag, for other files of a test

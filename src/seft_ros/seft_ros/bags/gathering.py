@@ -32,17 +32,6 @@ _MOST_EVENTS = 1000
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "error", STALE: "stale"}
 
 
-def points_ahead(topic: topics.LoopTopic, experiment: Experiment) -> float:
-    """Give how many points of a message count, beside the first.
-
-    Over a link, a message holds the reference force of later steps, too. Of a target and of a stop,
-    which are revised from step to step, the first point of each message counts.
-    """
-    if topic == topics.REFERENCE_FORCE:
-        return max(experiment.sections.get("reference_force", {}).get("loop_delay", 0), 0)
-    return inf if topic.every_point else 0
-
-
 class SeriesGatherer:
     """Samples of a topic of the loop, in arrays that grow in place; memory is that of the samples.
 
@@ -62,7 +51,11 @@ class SeriesGatherer:
         self, topic: topics.LoopTopic, experiment: Experiment, rig: topics.RigAxes, expected: int
     ) -> None:
         self._codec = TrajectoryCodec(topic, rig.axes, experiment.timebase)
-        self._ahead = points_ahead(topic, experiment)
+        # of a target and a stop, revised from step to step, the first point of a message counts
+        self._ahead = inf if topic.every_point else 0
+        if topic == topics.REFERENCE_FORCE:  # over a link it holds the forces of later steps, too
+            delay = experiment.sections.get("reference_force", {}).get("loop_delay", 0)
+            self._ahead = max(delay, 0)
         self._times_count = topic is not topics.GROUND_MOTION  # which is sent ahead
         size = max(1, expected)
         self._steps, self._received = np.empty(size, np.int64), np.empty(size, np.int64)

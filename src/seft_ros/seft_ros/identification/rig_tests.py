@@ -22,7 +22,7 @@ from seft_plant_sim.rig_parameters import truth
 from seft_plant_sim.simulated.specimen import Specimen
 from seft_plant_sim.whole_structure import response
 
-from seft_ros.bags.recording import Recording, Series
+from seft_ros.bags.recording import Recording, every_step
 from seft_ros.force_controller.force_controller_parameters import FOLLOW_TARGETS, one_controller
 from seft_ros.force_controller.methods import force_control
 from seft_ros.ground_motion.conditioning import check_size
@@ -170,18 +170,11 @@ class MeasuredTest:
         self.axes = recording.experiment.axes
         self.dt = recording.experiment.timebase.dt
         self.steps = int(recording.states.steps[-1]) + 1
-        every = np.arange(self.steps)
-
-        def columns(series: Series, row: int) -> Floats:
-            """Signal at every step, interpolated where a sample was lost."""
-            values = series.values[:, row].T
-            return np.stack([np.interp(every, series.steps, value) for value in values], axis=1)
-
-        self._signals = [
-            columns(recording.series[REFERENCE_FORCE.name], 0),
-            columns(recording.series[VALVE_COMMAND.name], 0),
-            *(columns(recording.states, row) for row in (0, 2, 3)),
-        ]
+        series = recording.series[REFERENCE_FORCE.name], recording.series[VALVE_COMMAND.name]
+        asked, driven, states = (
+            every_step(each, np.arange(self.steps)) for each in (*series, recording.states)
+        )
+        self._signals = [asked[:, 0], driven[:, 0], *(states[:, row] for row in (0, 2, 3))]
         segment = self.steps * self.dt / _SEGMENTS
         self._spectra = motion_spectra(np.hstack(self._signals), 1.0 / self.dt, segment)
         self._band = max(band[0], _LEAST_PERIODS / segment), band[1]

@@ -24,9 +24,6 @@ from seft_ros.monitor.session import Session
 if TYPE_CHECKING:  # Watch itself needs no ROS
     from seft_ros.monitor.graph import Graph
 
-METADATA_NODES = ("rig", "reference_force", "force_controller", "ground_motion", "supervisor")
-"""Nodes whose rate and axes are used: those of the first available one."""
-
 PERIOD = 0.1  # s
 LARGEST_REQUEST = 4096  # bytes
 NICE = 3
@@ -119,7 +116,7 @@ class Watch:
     def _follow_description(self) -> None:
         """Make a new `Intake` if rate or axes have changed."""
         sections, intake = self.session.sections, self.intake
-        teller = next((node for node in METADATA_NODES if node in sections), None)
+        teller = next((node for node in topics.NODES if node in sections), None)  # all agree
         if teller is None:
             return
         try:

@@ -11,6 +11,7 @@ import sys
 
 from seft_msgs_py.node.node_shell import NodeKind, run_nodes
 from seft_msgs_py.printing import unbroken
+from seft_msgs_py.wire.topics import LOOP_NODES
 from seft_plant_sim.rig_node import RIG_NODE as RIG
 
 from seft_ros.nodes.force_controller_node import FORCE_CONTROLLER_NODE as FORCE_CONTROLLER
@@ -24,8 +25,6 @@ NODE_KINDS: dict[str, NodeKind] = {
     for kind in (GROUND_MOTION, REFERENCE_FORCE, FORCE_CONTROLLER, RIG, SUPERVISOR, RECORDER)
 }
 """All nodes of a test, by name."""
-_IN_LOOP = ("rig", "reference_force", "force_controller")
-"""The rig comes first: it is the clock, and spins for all."""
 
 
 def main() -> int:
@@ -40,12 +39,12 @@ def _main() -> int:
         epilog="ROS arguments follow --ros-args, as for every node.",
     )
     parser.add_argument(
-        "--nodes", nargs="+", choices=_IN_LOOP, default=_IN_LOOP, help="default: all of them"
+        "--nodes", nargs="+", choices=LOOP_NODES, default=LOOP_NODES, help="default: all of them"
     )
     words = sys.argv[1:]
     ros = words.index("--ros-args") if "--ros-args" in words else len(words)
     wanted = parser.parse_args(words[:ros]).nodes
-    return run_nodes(*(NODE_KINDS[node] for node in _IN_LOOP if node in wanted))
+    return run_nodes(*(NODE_KINDS[node] for node in LOOP_NODES if node in wanted))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,6 @@ whether a test continues if its bag is lost; it is recorded in any case.
 import json
 import sys
 from collections import Counter, deque
-from datetime import datetime
-from itertools import chain, count
-from pathlib import Path
 
 from seft_msgs_py.errors import ExperimentError
 from seft_msgs_py.node.host import FIRST_NICENESS, boot
@@ -23,7 +20,7 @@ from seft_msgs_py.wire.outcome import ENDED, MOVING, RECORDED, RIG, WAITS, State
 from seft_msgs_py.wire.topics import LoopTopic, Topic, topics_of
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-from seft_ros.bags.bag_writer import BagWriter, why_not_writable
+from seft_ros.bags.bag_writer import BagWriter, bag_place, why_not_writable
 from seft_ros.bags.recording import describe_environment
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE, TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, RECORDING
@@ -177,7 +174,7 @@ class RecorderNode(NodeBody):
         self._phase = phase
 
     def _open(self) -> None:
-        self._bag = BagWriter(self._place())
+        self._bag = BagWriter(bag_place(self._section))
         self._reason = self._unsaved = ""
         self._ended_at, self._next_began = None, False
         self._environment = describe_environment("run")
@@ -231,21 +228,12 @@ class RecorderNode(NodeBody):
             first = there.get("nice") == FIRST_NICENESS
             self._watch.begin(there["cores"], period, there["priority"], first=first)
 
-    def _place(self) -> Path:
-        """Folder of the next bag; a default name is a free one."""
-        directory = Path(self._section["directory"])
-        if self._section["name"]:
-            return directory / self._section["name"]
-        name = datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
-        ends = chain(("",), (f"_{k}" for k in count(2)))
-        return next(p for end in ends if not (p := directory / f"{name}{end}").exists())
-
     def _check_place(self) -> None:
         """Make the next test wait while its bag can't be made."""
         if (now := self._clock.monotonic()) - self._checked_at < PLACE_PERIOD:
             return
         self._checked_at = now
-        if why := why_not_writable(self._place()):
+        if why := why_not_writable(bag_place(self._section)):
             why += "; correct that, or set its parameter name or directory to another"
         if why != self._values.get(WAITS, ""):
             self._report(**(self._values | {WAITS: why}))

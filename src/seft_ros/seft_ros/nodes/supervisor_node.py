@@ -10,7 +10,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
+from seft_msgs_py.node.node_shell import IDLE_WAIT, NodeBody, NodeKind, NodeShell
 from seft_msgs_py.node.transport import AwakeClock, Level
 from seft_msgs_py.wire import messages, outcome, topics
 from seft_msgs_py.wire.experiment_state import ExperimentState, encode_state
@@ -66,7 +66,7 @@ class SupervisorNode(NodeBody):
     def run(self) -> None:
         """Supervise until the process ends."""
         while not self._shell.stopping:
-            self._shell.spin_once()
+            self._shell.spin_once(IDLE_WAIT)
             for _ in range(_MAX_AT_ONCE):
                 if not self._shell.spin_once(0.0):
                     break  # a node is silent only if none of these messages is its own

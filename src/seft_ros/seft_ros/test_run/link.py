@@ -79,11 +79,6 @@ class RoundTrips:
         """Delay that a loop over this link needs, in steps at this rate."""
         return math.ceil(self._percentile(COUNTED) * self.rate - 1e-9) + _MARGIN
 
-    @property
-    def rate_within_a_step(self) -> float:
-        """Rate up to which an answer comes within its step, so that no delay is needed, Hz."""
-        return 1.0 / self._percentile(COUNTED)
-
     def numbers_by_name(self) -> dict[str, Any]:
         """Give JSON values."""
         return {
@@ -98,7 +93,7 @@ class RoundTrips:
                 "largest": float(self.times.max()),
             },
             "loop_delay": self.loop_delay,
-            "rate_within_a_step_hz": self.rate_within_a_step,
+            "rate_within_a_step_hz": 1.0 / self._percentile(COUNTED),
         }
 
     def _percentile(self, percent: float) -> float:

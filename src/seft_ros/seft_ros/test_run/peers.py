@@ -8,7 +8,7 @@ from seft_msgs_py.config.facts import CHANNELS, FACTS, SETTINGS, agree
 from seft_msgs_py.config.parameter_table import group, parameter_rows
 from seft_msgs_py.wire import outcome
 from seft_msgs_py.wire.messages import Status
-from seft_msgs_py.wire.topics import RigAxes, topics_of, with_rigs
+from seft_msgs_py.wire.topics import LOOP_NODES, RigAxes, topics_of, with_rigs
 
 REHEARSAL_PARAMETERS = parameter_rows(
     """
@@ -22,7 +22,6 @@ UNFIT = "a rehearsal without fault: "
 RUNS = "the rehearsal of the loop"
 """What is missing while the rehearsal runs."""
 
-_LOOP = ("rig", "reference_force", "force_controller")
 REFUSED = 0.1  # of the steps missed: a test of such a loop is another
 WARNED = 0.001
 ROOM = 0.8  # of a period, that the slowest hundredth may take at a rate that is proposed
@@ -52,7 +51,7 @@ def check_peers(duration: float, nodes: Mapping[str, Mapping[str, Any]]) -> Rehe
         Name of each node of the test -> its description, in which one that can rehearse says so.
         There is a rehearsal if all nodes of one loop can: none over a link or with several rigs.
     """
-    if not duration or not all(nodes.get(name, {}).get(outcome.REHEARSES) for name in _LOOP):
+    if not duration or not all(nodes.get(name, {}).get(outcome.REHEARSES) for name in LOOP_NODES):
         return Rehearsed()
     found = nodes["rig"].get(outcome.REHEARSED)
     if found is None:

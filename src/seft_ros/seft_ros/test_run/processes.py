@@ -16,12 +16,10 @@ from typing import Any, Self
 
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node import host
-from seft_msgs_py.wire.topics import NODES, bare, rig_name
+from seft_msgs_py.wire.topics import LOOP_NODES, NODES, bare, rig_name
 
 from seft_ros.test_run.node_starter import NodeStarter
 
-LOOP_NODES = ("rig", "reference_force", "force_controller")
-"""Nodes that work one after the other within a step."""
 GIVES_WAY = {"force_controller": 1, "reference_force": 2}
 """By how much the priority of nodes that come earlier in a step is lower: the work that they do
 after sending their message must wait until the step is done."""

@@ -4,22 +4,22 @@ import contextlib
 import time
 from collections.abc import Callable, Collection
 from contextlib import closing
-from datetime import datetime
 from pathlib import Path
 from typing import Self
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError
 from seft_msgs_py.node.process import as_before, on_ending, prepare_on_this_host
+from seft_msgs_py.wire import topics
 from seft_msgs_py.wire.outcome import BY_OPERATOR, State
-from seft_msgs_py.wire.topics import EXPERIMENT_STATE, NODES, LoopTopic, bare, topics_of, with_rigs
+from seft_msgs_py.wire.topics import bare, with_rigs
 
-from seft_ros.bags.bag_writer import why_not_writable
+from seft_ros.bags.bag_writer import bag_place, why_not_writable
 from seft_ros.test_run.node_starter import NodeStarter
 from seft_ros.test_run.observer import Observer
 from seft_ros.test_run.parameter_tables import RECORDER_TABLE
 from seft_ros.test_run.peers import CONFLICT, RUNS, UNFIT
-from seft_ros.test_run.processes import LOOP_NODES, MODULES, NodeProcesses, ProcessLayout
+from seft_ros.test_run.processes import MODULES, NodeProcesses, ProcessLayout
 
 _POLL_PERIOD = 0.05  # s
 READY_TIMEOUT, SAVE_TIMEOUT = 60.0, 20.0  # s
@@ -84,8 +84,8 @@ class RunMonitor:
         self._timeout: float = test["supervisor"]["watchdog.peer_timeout"] + SLACK
         self._topics = [
             topic
-            for topic in topics_of(test.rigs)
-            if isinstance(topic, LoopTopic) or topic == EXPERIMENT_STATE
+            for topic in topics.topics_of(test.rigs)
+            if isinstance(topic, topics.LoopTopic) or topic == topics.EXPERIMENT_STATE
         ]
         self._broken, self._settled = "", False
 
@@ -224,9 +224,7 @@ def bag_path(experiment: Experiment, out: Path | None) -> Path:
     InputError
         If no bag can be made there.
     """
-    section = experiment["recorder"]
-    name = section["name"] or datetime.now().strftime("seft_%Y-%m-%d_%H-%M-%S")
-    path = out or Path(section["directory"]) / name
+    path = out or bag_place(experiment["recorder"])
     RECORDER_TABLE.check({"name": path.name}, "recorder")
     if why := why_not_writable(path):
         raise InputError(f"{why}; name another folder with --out")
@@ -272,9 +270,8 @@ def run_experiment(
     """
     prepare_on_this_host()
     layout = layout or ProcessLayout()
-    realtime_parameters = {
-        node: layout.realtime_parameters(node) for node in LOOP_NODES if node in experiment.sections
-    }
+    ours = [node for node in topics.LOOP_NODES if node in experiment.sections]
+    realtime_parameters = {node: layout.realtime_parameters(node) for node in ours}
     recorder = {"directory": str(bag.parent.resolve()), "name": bag.name}
     experiment = experiment.changed(realtime_parameters | {"recorder": recorder})
     wanted = {*experiment["supervisor"]["peers"], "supervisor"}
@@ -284,7 +281,8 @@ def run_experiment(
     # the pace is the rig's own; an external rig tells it later
     lockstep = "rig" not in map(bare, nodes) or experiment["rig"]["pace"] == "lockstep"
     progress("looking for other tests", 0)
-    with NodeStarter() as starter, closing(Observer(with_rigs(NODES, experiment.rigs))) as observer:
+    observed = with_rigs(topics.NODES, experiment.rigs)
+    with NodeStarter() as starter, closing(Observer(observed)) as observer:
         observer.refuse_other_tests(external)
         progress("starting the nodes", 0)
         words = experiment.arguments()
