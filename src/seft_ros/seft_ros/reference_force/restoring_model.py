@@ -63,7 +63,7 @@ from seft_ros.reference_force.yield_corner import (
     begin_corner,
     expect_corner,
     follow_corner,
-    is_refuted,
+    may_begin,
 )
 
 THRESHOLDS = 12
@@ -464,7 +464,7 @@ def follow_specimen(
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0 and z * moved > 0.0
         sticks = abs(z) < y[CORNER]
-        if yields and sticks and (not slider[STAGE] or is_refuted(laws, slider)):
+        if yields and sticks and may_begin(laws, state.corner, j):
             lacks = abs(innovation)
             y[CORNER] = begin_corner(
                 laws, state.corner, j, phi, moved, lacks, slope, found, y[CORNER]

@@ -108,15 +108,31 @@ def expect_corner(
     covariance[2, 2] += p.drift[j, damping]
     multiply_sized(5, 5, covariance, factors, gain)
     variance = p.noise[j] + dot(5, factors, gain)
-    slider[_SUM] = p.recent * slider[_SUM] + measured - dot(len(law), law, phi)
+    missed = measured - _force(law, phi, p.place, factors, slider)
+    slider[_SUM] = p.recent * slider[_SUM] + missed
     slider[_VARIANCE] = p.recent * p.recent * slider[_VARIANCE] + variance
     if is_refuted(p, slider):
         slider[_SLID] = -1.0
     if slips and slider[_SLID] >= 0.0:
         slider[_SLID] += abs(moved)
-        if law[p.place] * slider[_SLID] > STANDS_OUT * math.sqrt(p.noise[j]):
+        saved = law[p.place] * slider[_SLID]
+        if saved > STANDS_OUT * math.sqrt(p.noise[j]):
             slider[STAGE] = FORETELLS
     return variance
+
+
+@compiled
+def _force(law: Floats, phi: Floats, place: int, factors: Floats, slider: Floats) -> float:
+    """Force by a law, N: with c, which is not w y before w is known."""
+    beside = law[place] * (factors[3] - phi[place]) + slider[_FORCE] * factors[4]
+    return dot(len(law), law, phi) + beside
+
+
+@compiled
+def may_begin(p: CornerParameters, state: CornerState, j: int) -> bool:
+    """Say whether there is no law, or one that is refuted, or of no yielding."""
+    slider = state.slider[j]
+    return slider[STAGE] == 0.0 or state.law[j, p.place] <= 0.0 or is_refuted(p, slider)
 
 
 @compiled
@@ -183,7 +199,7 @@ def follow_corner(
     factors[3], factors[4] = phi[p.place] - slider[_SENSE] * y, slider[_SENSE]
     multiply_sized(5, 5, covariance, factors, gain)
     per_variance = 1.0 / (p.noise[j] + dot(5, factors, gain))
-    share = per_variance * (measured - dot(len(law), law, phi))
+    share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
     law[0] += gain[0] * share
     law[1 + j] += gain[1] * share
     law[damping] += gain[2] * share
@@ -192,7 +208,9 @@ def follow_corner(
     for i in range(5):
         for k in range(5):
             covariance[i, k] -= gain[i] * gain[k] * per_variance
-    if law[p.place] > 0.0 and slider[_FORCE] > 0.0:
-        y = slider[_FORCE] / law[p.place]
+    if law[p.place] <= 0.0 or slider[_FORCE] <= 0.0:
+        slider[STAGE] = _BEGUN
+        return y
+    y = slider[_FORCE] / law[p.place]
     phi[p.place] = factors[3] + slider[_SENSE] * y
     return y
