@@ -463,12 +463,9 @@ def follow_specimen(
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0 and z * moved > 0.0
-        sticks = abs(z) < y[CORNER]
-        if yields and sticks and may_begin(laws, state.corner, j):
+        if yields and may_begin(laws, state.corner, j):
             lacks = abs(innovation)
-            y[CORNER] = begin_corner(
-                laws, state.corner, j, phi, moved, lacks, slope, found, y[CORNER]
-            )
+            y[CORNER] = begin_corner(laws, state.corner, j, phi, moved, lacks, slope, found)
         if slider[STAGE]:
             y[CORNER] = follow_corner(laws, state.corner, j, phi, measured[j], y[CORNER])
             state.stops[j, CORNER] = phi[place]

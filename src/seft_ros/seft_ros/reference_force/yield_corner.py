@@ -33,7 +33,7 @@ underestimates, by the square of the noise over the motion (0.25 %)."""
 NEVER = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, STAGE, SHIFT = range(7)
+_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT = range(9)
 """Columns of ``slider``: d; c, N; recent innovations, N, and their variance, N^2; motion of
 foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; and how
 far the last sample has shifted z, m."""
@@ -70,7 +70,7 @@ class CornerState(NamedTuple):
 
     law: Annotated[Floats, "n", "q"]  # parameters, in the places of the model's
     covariance: Annotated[Floats, "n", 5, 5]  # of p, K, C, w and c
-    slider: Annotated[Floats, "n", 7]
+    slider: Annotated[Floats, "n", 9]
     work: Annotated[Floats, 2, 5]
 
 
@@ -101,7 +101,9 @@ def expect_corner(
     factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
     slips = abs(z) == y
     if slips and z * slider[_SENSE] < 0.0:
-        slider[_SENSE], slider[_SLID] = -slider[_SENSE], 0.0
+        slider[_SENSE], slider[_SLID], slider[_FROM] = -slider[_SENSE], 0.0, slider[_END]
+    if slips:
+        slider[_END] = phi[1 + j]
     factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
     factors[3], factors[4] = z - slider[_SENSE] * y, slider[_SENSE]
     covariance[1, 1] += p.drift[j, 1 + j]
@@ -151,7 +153,6 @@ def begin_corner(
     lacks: float,
     slope: float,
     found: Floats,
-    y: float,
 ) -> float:
     """Let the law of spring j begin; give y.
 
@@ -164,16 +165,17 @@ def begin_corner(
     found : ndarray
         The model's parameters before, shape (q,).
     """
-    z, law, slider, covariance = phi[p.place], state.law[j], state.slider[j], state.covariance[j]
+    law, slider, covariance, e = state.law[j], state.slider[j], state.covariance[j], phi[1 + j]
     along, damping, sense = state.work[1], 1 + len(p.start) + j, 1.0 if moved > 0.0 else -1.0
-    over = min(lacks / max(slope, 1e-3 * abs(p.start[j, 1 + j])), abs(z))
-    if slider[_SENSE] == 0.0:
-        y = abs(z) - over
-    elif slider[_SENSE] != sense:
-        y = 0.5 * (abs(z - slider[_SENSE] * y) - over)
+    start = NEVER if slider[_SENSE] == 0.0 else slider[_FROM]
+    if slider[_SENSE] * sense < 0.0:
+        start = slider[_END]
+    way = abs(e) if start == NEVER else 0.5 * abs(e - start)
+    over = min(lacks / max(slope, 1e-3 * abs(p.start[j, 1 + j])), way)
+    y = way - over if start == NEVER else way - 0.5 * over
     copy(len(law), p.start[j], law)
     law[0], law[1 + j], law[damping] = found[0], slope, found[damping]
-    along[0], along[1], along[2] = phi[1 + j] - sense * (over + y), -1.0, 0.0
+    along[0], along[1], along[2] = e - sense * (over + y), -1.0, 0.0
     along[3], along[4] = 1.0, y
     for i in range(5):
         for k in range(5):
@@ -184,6 +186,7 @@ def begin_corner(
     covariance[4, 4] += p.change[j] * moved * moved  # the corner may lie a sample away
     slider[:] = 0.0
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
+    slider[_FROM], slider[_END] = start, e
     phi[p.place] = sense * y
     return y
 
