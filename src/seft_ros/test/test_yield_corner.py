@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_ros.reference_force import restoring_model as models
-from seft_ros.reference_force.yield_corner import FORETELLS, NEVER, STAGE
+from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, STAGE
 from test_target_motion import K, followed
 
 YIELDS, HARDENS = 0.003, 0.05
@@ -64,4 +64,4 @@ def test_a_test_begins_without_a_law():
     parameters, state, _ = followed(bilinear(x, v), x, v)
     models.begin_model(parameters, state)
     assert not state.corner.slider.any()
-    assert state.thresholds[0, models.CORNER] == NEVER
+    assert state.thresholds[0, models.CORNER] == HOLDS

@@ -55,7 +55,7 @@ from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 
 from seft_ros.reference_force.yield_corner import (
     FORETELLS,
-    NEVER,
+    HOLDS,
     SHIFT,
     STAGE,
     CornerParameters,
@@ -211,11 +211,11 @@ def model_arrays(
     """
     n, observed = len(mass), np.ascontiguousarray(observed)
     thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
-    thresholds[:, CORNER] = NEVER
+    thresholds[:, CORNER] = HOLDS
     white = noise**2
     assumed = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
     least_seen = np.sqrt(assumed)[:, np.newaxis]
-    force = SLIDER_TO_NOISE * least_seen / thresholds * (thresholds < NEVER)
+    force = SLIDER_TO_NOISE * least_seen / thresholds * (thresholds < HOLDS)
     least = 2.0 * MIN_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
     offset = OFFSET_TO_NOISE * least_seen

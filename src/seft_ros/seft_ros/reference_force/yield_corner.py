@@ -30,7 +30,7 @@ from seft_plant_sim.compiled import compiled, copy, dot, multiply_sized
 STANDS_OUT = 20.0
 """Least motion, or force, over its noise that is seen well: regression on a noisy motion
 underestimates, by the square of the noise over the motion (0.25 %)."""
-NEVER = 1e3
+HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
 _SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT = range(9)
@@ -167,12 +167,12 @@ def begin_corner(
     """
     law, slider, covariance, e = state.law[j], state.slider[j], state.covariance[j], phi[1 + j]
     along, damping, sense = state.work[1], 1 + len(p.start) + j, 1.0 if moved > 0.0 else -1.0
-    start = NEVER if slider[_SENSE] == 0.0 else slider[_FROM]
+    start = HOLDS if slider[_SENSE] == 0.0 else slider[_FROM]
     if slider[_SENSE] * sense < 0.0:
         start = slider[_END]
-    way = abs(e) if start == NEVER else 0.5 * abs(e - start)
+    way = abs(e) if start == HOLDS else 0.5 * abs(e - start)
     over = min(lacks / max(slope, 1e-3 * abs(p.start[j, 1 + j])), way)
-    y = way - over if start == NEVER else way - 0.5 * over
+    y = way - over if start == HOLDS else way - 0.5 * over
     copy(len(law), p.start[j], law)
     law[0], law[1 + j], law[damping] = found[0], slope, found[damping]
     along[0], along[1], along[2] = e - sense * (over + y), -1.0, 0.0
