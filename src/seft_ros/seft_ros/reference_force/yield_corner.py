@@ -14,7 +14,8 @@ The law begins when the specimen yields: the filter of the model detects a chang
 less than before while the specimen moves away from the middle, and no slip was foretold. What the
 force lacks, over the stiffness, is how far the corner lies back. At the corner the force is known,
 and a part of the stiffness, unknown by all of it, goes from K to w. At the first corner y is the
-deformation itself; later it is half of the way since the last slip.
+deformation itself; later it is half of the way from where it slipped to the other side. A law that
+is refuted, because it was wrong where it began, begins again at the next corner.
 
 The law takes the place of the assumed specimen when it has foretold a corner on the other side,
 without which the force would have been missed by `STANDS_OUT` times its noise. Then it is as likely
