@@ -237,8 +237,7 @@ def model_arrays(
     change = variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER)
     recent = math.exp(-dt / _RECENT)
     surprise = NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2
-    of_law = np.diag(change[:, 1:]).copy(), assumed
-    corner = CornerParameters(1 + 2 * n + CORNER, start, prior, drift, *of_law, recent, surprise)
+    corner = CornerParameters(1 + 2 * n + CORNER, start, prior, drift, assumed, recent, surprise)
     parameters = ModelParameters(
         springs=springs,
         thresholds=thresholds,

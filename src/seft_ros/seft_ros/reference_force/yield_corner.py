@@ -49,9 +49,8 @@ class CornerParameters(NamedTuple):
         Of w among the q parameters of the model.
     start, prior, drift : ndarray
         Of the model, shape (n, q).
-    change, noise : ndarray
-        Variance of a change of the stiffness, (N/m)^2, and of the force with the effect of the
-        motion's noise, N^2; shape (n,).
+    noise : ndarray
+        Variance of the force with the effect of the motion's noise, N^2, shape (n,).
     recent, surprise : float
         Of the model.
     """
@@ -60,7 +59,6 @@ class CornerParameters(NamedTuple):
     start: Floats
     prior: Floats
     drift: Floats
-    change: Floats
     noise: Floats
     recent: float
     surprise: float
@@ -180,11 +178,11 @@ def begin_corner(
     along[3], along[4] = 1.0, y
     for i in range(5):
         for k in range(5):
-            covariance[i, k] = p.change[j] * along[i] * along[k]
+            covariance[i, k] = slope * slope * along[i] * along[k]
     covariance[0, 0] += p.prior[j, 0]
     covariance[1, 1] += p.prior[j, 1 + j]
     covariance[2, 2] += p.prior[j, damping]
-    covariance[4, 4] += p.change[j] * moved * moved  # the corner may lie a sample away
+    covariance[4, 4] += slope * slope * moved * moved  # the corner may lie a sample away
     slider[:] = 0.0
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
     slider[_FROM], slider[_END] = start, e
