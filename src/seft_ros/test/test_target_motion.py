@@ -157,7 +157,7 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
     rng, last = np.random.default_rng(seed), 0.0
     left = []
     for one, rate, r in zip(x, v, restoring, strict=True):
-        models.move_stops(parameters, np.array([one - last]), state.stops)
+        models.move_stops(parameters, state.thresholds, np.array([one - last]), state.stops)
         last = one
         measured = np.array([r + noise * rng.standard_normal()])
         models.follow_specimen(parameters, state, np.array([one]), np.array([rate]), measured)

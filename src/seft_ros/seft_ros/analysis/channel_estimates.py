@@ -43,7 +43,7 @@ from seft_plant_sim.rig_parameters import filter_of
 from seft_ros.design.planned_tests import choose_rig
 from seft_ros.design.plant import held_relations
 from seft_ros.ground_motion.conditioning import moved_ahead
-from seft_ros.reference_force.restoring_model import STANDS_OUT
+from seft_ros.reference_force.yield_corner import STANDS_OUT
 
 KINEMATIC_BAND = (0.3, 3.0)
 """Band of Eq. (1), over the frequency of the motion: where most of the motion is. Below, the

@@ -21,7 +21,8 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis import channel_estimates
-from seft_ros.reference_force.restoring_model import STANDS_OUT, stop_operators
+from seft_ros.reference_force.restoring_model import stop_operators
+from seft_ros.reference_force.yield_corner import STANDS_OUT
 
 INERTIA_BAND = 8.0
 """Highest frequency of Eq. (1) over that of the motion: there a stiffness is 2 % of the inertia."""

@@ -22,7 +22,8 @@ because a force does not jump when a stiffness does.
 
 The assumed specimen is a model without unknowns. If it is right, it predicts better than a model
 that still learns. The two are weighted by their likelihoods (Magill 1965), whose ratio is bounded
-so that each can overtake the other.
+so that each can overtake the other. When a specimen has yielded, a law that
+foretells its corners takes the place of that, see `yield_corner`.
 
 The structure remembers the restoring force as an impulse, and every sample also improves the
 estimate of earlier forces. With the covariance c of the parameters and that impulse, the Kalman
@@ -53,9 +54,24 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints, zeros
 from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 
+from seft_ros.reference_force.yield_corner import (
+    FORETELLS,
+    HOLDS,
+    SHIFT,
+    STAGE,
+    CornerParameters,
+    CornerState,
+    begin_corner,
+    expect_corner,
+    follow_corner,
+    may_begin,
+)
+
 THRESHOLDS = 12
 """Number of stop operators of a spring; each has twice the threshold of the one before: from the
-noise to 4000 times it, and a corner has a slider within a factor of 1.4."""
+noise to 2000 times it, and a corner has a slider within a factor of 1.4. The last is that of
+`yield_corner`."""
+CORNER = THRESHOLDS - 1
 SMALLEST_SLIDER = 2.0
 """Least threshold over the noise of the deformation: smaller ones can't be told from noise."""
 ONCE_IN = 2.0
@@ -76,9 +92,6 @@ MAX_EVIDENCE = math.log(1e4)
 CONFIRMED_IN = 0.05
 """Time for which the assumed model must be right before it is accepted again, s: with any specimen
 an oscillating force crosses the assumed line now and then."""
-STANDS_OUT = 20.0
-"""Least motion over its noise for the identification from a recording: regression on a noisy motion
-underestimates, by the square of the noise over the motion (0.25 %)."""
 MOVING_STOP, MOVING_RATE = 3, 8.0
 """A spring moves while the stop operator of 16 times the noise slides, or its rate is 8 times its
 noise (0.4 and 1.6 % by the same rule)."""
@@ -100,7 +113,7 @@ class ModelParameters(NamedTuple):
     springs : tuple of int or ndarray
         0 to n - 1, see `places`.
     thresholds : ndarray
-        y, shape (n, m), m.
+        y, shape (n, m), m, at the beginning.
     start : ndarray
         Parameters (p, K, C, w, b) of each spring at the beginning, shape (n, q): 2 + 2n + m, and
         up to three zeros, so that q is a multiple of four.
@@ -126,6 +139,8 @@ class ModelParameters(NamedTuple):
         Square of the normalised sum at which a change is detected.
     confirming : float
         Largest growth of the evidence for the assumed model while it is not accepted, per step.
+    corner : CornerParameters
+        Of the laws that foretell yielding.
     """
 
     springs: tuple[int, ...] | Ints
@@ -143,6 +158,7 @@ class ModelParameters(NamedTuple):
     forgotten: Floats
     surprise: float
     confirming: float
+    corner: CornerParameters
 
 
 class RestoringState(NamedTuple):
@@ -159,6 +175,8 @@ class RestoringState(NamedTuple):
     sums: Annotated[Floats, "n", 5]  # recent innovations, their variance, the unexplained impulse
     # over a period, the force that corrects impulses (N), and the evidence for the assumed model
     work: Annotated[Floats, 3, "q"]
+    thresholds: Annotated[Floats, "n", THRESHOLDS]  # y, m
+    corner: CornerState
 
 
 def model_arrays(
@@ -194,10 +212,11 @@ def model_arrays(
     """
     n, observed = len(mass), np.ascontiguousarray(observed)
     thresholds = SMALLEST_SLIDER * observed[:, :1] * 2.0 ** np.arange(THRESHOLDS)
+    thresholds[:, CORNER] = HOLDS
     white = noise**2
     assumed = white + np.hstack([stiffness, damping]) ** 2 @ observed.T.ravel() ** 2
     least_seen = np.sqrt(assumed)[:, np.newaxis]
-    force = SLIDER_TO_NOISE * least_seen / thresholds
+    force = SLIDER_TO_NOISE * least_seen / thresholds * (thresholds < HOLDS)
     least = 2.0 * MIN_DAMPING * np.sqrt(np.abs(np.diag(mass) * np.diag(stiffness)))
     damps = np.abs(damping) + np.diag(least / UNCERTAIN_DAMPING)
     offset = OFFSET_TO_NOISE * least_seen
@@ -212,24 +231,33 @@ def model_arrays(
     def variance(p: float, k: float, c: float, w: float) -> Floats:
         return padded(p * offset, k * stiff, c * damps, w * force) ** 2
 
+    start = padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds))
+    prior = variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0)
+    drift = variance(0.0, MODEL_DRIFT, MODEL_DRIFT, MODEL_DRIFT) * dt
+    change = variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER)
+    recent = math.exp(-dt / _RECENT)
+    surprise = NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2
+    corner = CornerParameters(1 + 2 * n + CORNER, start, prior, drift, assumed, recent, surprise)
     parameters = ModelParameters(
         springs=springs,
         thresholds=thresholds,
-        start=padded(np.zeros((n, 1)), stiffness, damping, np.zeros_like(thresholds)),
-        prior=variance(1.0, UNCERTAIN_STIFFNESS, UNCERTAIN_DAMPING, 1.0),
-        drift=variance(0.0, MODEL_DRIFT, MODEL_DRIFT, MODEL_DRIFT) * dt,
-        change=variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER),
+        start=start,
+        prior=prior,
+        drift=drift,
+        change=change,
         noise=np.column_stack([white, assumed]),
         observed=observed**2,
         kept=kept,
         stuck=STUCK_ERROR * (1.0 - kept**2) * observed[:, 0] ** 2,
         least=MOVING_RATE * observed[:, 1],
-        recent=math.exp(-dt / _RECENT),
+        recent=recent,
         forgotten=rates,
-        surprise=NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2,
+        surprise=surprise,
         confirming=MAX_EVIDENCE * dt / CONFIRMED_IN,
+        corner=corner,
     )
-    return parameters, zeros(RestoringState, {"n": n, "q": parameters.start.shape[1]})
+    sizes = {"n": n, "q": start.shape[1]}
+    return parameters, zeros(RestoringState, sizes, corner=zeros(CornerState, sizes))
 
 
 @compiled
@@ -242,11 +270,13 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
     state.sums[:] = 0.0
     state.last[:] = 0.0
     state.sums[:, 4] = MAX_EVIDENCE
+    state.corner.slider[:] = 0.0
     for j in range(n):
         for i in range(q):
             start = parameters.start[j, i]
             state.values[j, i] = state.before[j, i] = state.found[j, i] = start
             state.covariance[j, i, i] = parameters.prior[j, i]
+        copy(THRESHOLDS, parameters.thresholds[j], state.thresholds[j])
 
 
 @compiled
@@ -268,9 +298,10 @@ def stop_operators(e: Floats, thresholds: Floats, start: float | Floats = 0.0) -
 
 
 @compiled
-def move_stops(parameters: ModelParameters, change: Floats, stops: Floats) -> None:
+def move_stops(
+    parameters: ModelParameters, thresholds: Floats, change: Floats, stops: Floats
+) -> None:
     """Move stop operators by a change of each deformation, shape (n,), m."""
-    thresholds = parameters.thresholds
     for j in range(len(parameters.springs)):
         moved = change[j]
         for i in range(0, THRESHOLDS, 4):  # the processor has instructions for four at a time
@@ -301,6 +332,7 @@ def slider_forces(
 @compiled
 def slide_on(
     parameters: ModelParameters,
+    thresholds: Floats,
     values: Floats,
     change: Floats,
     stops: Floats,
@@ -322,7 +354,7 @@ def slide_on(
             force, slope, room = 0.0, 0.0, math.inf
             sense = 1.0 if further >= 0.0 else -1.0
             for i in range(THRESHOLDS):
-                w, y = values[j, first + i], parameters.thresholds[j, i]
+                w, y = values[j, first + i], thresholds[j, i]
                 z = bounded(bounded(stops[j, i] + line[2], y) + further, y)
                 stops[j, i], left = z, y - sense * z
                 force += w * z
@@ -339,7 +371,7 @@ def tangent(parameters: ModelParameters, state: RestoringState, j: int) -> float
     n = len(parameters.springs)
     slope = state.found[j, 1 + j]
     for i in range(THRESHOLDS):
-        if abs(state.stops[j, i]) < parameters.thresholds[j, i]:
+        if abs(state.stops[j, i]) < state.thresholds[j, i]:
             slope += state.found[j, 1 + 2 * n + i]
     return slope
 
@@ -384,6 +416,12 @@ def follow_specimen(
         gain, taken, left = state.work[0], state.work[1], state.work[2]
         past = state.past[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
+        slider, y, laws, place = (
+            state.corner.slider[j],
+            state.thresholds[j],
+            parameters.corner,
+            parameters.corner.place,
+        )
         phi[0] = 1.0
         copy(n, e, phi[1:])
         copy(n, rate, phi[1 + n :])
@@ -393,20 +431,29 @@ def follow_specimen(
         remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
         variance = motion_noise(parameters, state, j)
         innovation = measured[j] - dot(q, found, phi)
-        surplus = measured[j] - dot(q, parameters.start[j], phi)
+        moved, z, doubt = e[j] - last[1 + j], phi[place], parameters.noise[j, 1]
+        if slider[STAGE]:
+            foretold = slider[STAGE] == FORETELLS
+            of_law = expect_corner(laws, state.corner, j, phi, moved, measured[j], y[CORNER])
+            if slider[STAGE] == FORETELLS:
+                doubt = of_law
+                if not foretold:
+                    sums[4] = max(sums[4], 0.0)
+        assumed = state.corner.law[j] if slider[STAGE] == FORETELLS else parameters.start[j]
+        surplus = measured[j] - dot(q, assumed, phi)
         for i in range(q):
             p[i, i] += parameters.drift[j, i]
         copy(q, state.values[j], state.before[j])
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
         variance += dot(q, phi, gain)
         of_past = dot(q, past, phi)
-        slides = abs(state.stops[j, MOVING_STOP]) == parameters.thresholds[j, MOVING_STOP]
+        slides = abs(state.stops[j, MOVING_STOP]) == y[MOVING_STOP]
         moves = slides or abs(rate[j]) > parameters.least[j]
         learned = q if moves else 1
         was_right = sums[4] > 0.0
         # logarithm of the likelihoods' ratio, of the assumed model over the identified one
-        gained = innovation**2 / variance + math.log(variance / parameters.noise[j, 1])
-        gained -= surplus**2 / parameters.noise[j, 1]
+        gained = innovation**2 / variance + math.log(variance / doubt)
+        gained -= surplus**2 / doubt
         gained = min(0.5 * gained, MAX_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
         sums[4] = min(max(sums[4] + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
         sums[0] = parameters.recent * sums[0] + innovation
@@ -415,6 +462,15 @@ def follow_specimen(
         is_change = surprise > parameters.surprise
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
+        yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0 and z * moved > 0.0
+        if yields and may_begin(laws, state.corner, j):
+            lacks = abs(innovation)
+            y[CORNER] = begin_corner(laws, state.corner, j, phi, moved, lacks, slope, found)
+        if slider[STAGE]:
+            y[CORNER] = follow_corner(laws, state.corner, j, phi, measured[j], y[CORNER])
+            state.stops[j, CORNER] = phi[place]
+            slider[SHIFT] = phi[place] - z
+        assumed = state.corner.law[j] if slider[STAGE] == FORETELLS else parameters.start[j]
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         offset = gain[0]
         if not moves:  # the sum may be far more certain than its offset: that gains no more
@@ -426,8 +482,7 @@ def follow_specimen(
             taken[i] = own * per_variance if i < learned or i == error else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
-            start = parameters.start[j, i]
-            state.values[j, i] = found[i] + weight * (start - found[i])
+            state.values[j, i] = found[i] + weight * (assumed[i] - found[i])
         copy(q, phi, last)
         used = measured[j] - dot(q, state.values[j], phi)
         by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)

@@ -18,6 +18,7 @@ from seft_plant_sim.compiled import compiled, copy, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
+    CORNER,
     THRESHOLDS,
     ModelParameters,
     RestoringState,
@@ -27,6 +28,7 @@ from seft_ros.reference_force.restoring_model import (
     slide_on,
     slider_forces,
 )
+from seft_ros.reference_force.yield_corner import SHIFT
 
 ESTIMATE_NAMES = ("stiffness", "damping", "friction")
 """Rows of `target_estimates`."""
@@ -222,11 +224,13 @@ def update_target(
     if first:  # at rest, at the specimen's position
         copy(n, state.measured[0], state.target)
         before[:] = 0.0
-        move_stops(p.model, e, state.stops)
+        move_stops(p.model, state.model.thresholds, e, state.stops)
     for i in range(n):
         state.springs[4, i] = e[i] - before[i]
-    move_stops(p.model, state.springs[4], state.model.stops)
+    move_stops(p.model, state.model.thresholds, state.springs[4], state.model.stops)
     follow_specimen(p.model, state.model, e, rate, force)
+    for j in range(n):
+        state.stops[j, CORNER] += state.model.corner.slider[j, SHIFT]
     take_model(p, state, progress)
     if not first:
         advance(p, state, state.ground, ground[0], progress)
@@ -390,7 +394,7 @@ def advance(
                 continue
             copy(half, new, begin)
             times(n, 3 * half, p.deforming, y, change)
-            move_stops(p.model, change, stops)
+            move_stops(p.model, model.thresholds, change, stops)
             times(2 * half, 3 * half, p.hold, y, moved)
             copy(2 * half, moved, y)
 
@@ -476,7 +480,15 @@ def predict(
             for i in range(n):
                 rise = known[point + 1, i] - known[point, i]
                 ground[i] = progress * (known[point, i] + part * rise)
-            slide_on(p.model, state.model.values, change, stops, state.sliding, sliders)
+            slide_on(
+                p.model,
+                state.model.thresholds,
+                state.model.values,
+                change,
+                stops,
+                state.sliding,
+                sliders,
+            )
             multiply_sized(columns, size + n, state.substep, z, new)
             for i in range(len(state.line)):
                 rise = (1.0 + point + part) * p.dt * state.line[i, 2 * half + 1]
@@ -522,5 +534,5 @@ def move_by_force(
                 new[i] = y[i] + h * y[n + i]
                 moved[i] = new[i] - y[i]
             times(n, n, p.deformation, moved, change)
-            move_stops(p.model, change, stops)
+            move_stops(p.model, state.model.thresholds, change, stops)
             copy(n, new, y)
