@@ -249,8 +249,13 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             continue
         if c.forced >> row + 4 & 1:
             value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
-        else:
-            value += 0.5 * math.log(known.precision[row])
+            continue
+        any_value = 0.5 * math.log(known.precision[row])
+        if b.wrong[0] >> row & 1:
+            change, variance = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
+            lasting = HALF_LOG_TURN + log_size(change, variance, known.orders, math.inf)
+            any_value = max(any_value, lasting)
+        value += any_value
     if which & EVENT:
         jumps, recent, size = b.event, axis.lately, c.amplitude[at, 5]
         for age in range(3):
