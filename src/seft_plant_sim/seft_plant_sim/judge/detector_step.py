@@ -16,7 +16,7 @@ from seft_plant_sim.judge import detectors, specimen_force
 from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
 from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, look
 from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
-from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
+from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, is_undecided, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.valve_following import under_load
 
@@ -113,6 +113,8 @@ def judge_sample(
         for row in range(4):
             last[row, i] = judged[row, i]
         found = first_of(found, look_for_wrong(p, state, i))
+        if is_undecided(state.judge.axes[i]):
+            found = first_of(found, detectors.SUSPECT)
         for row in OF_SENSORS:
             if state.counts[row, i] and p.acts[row]:
                 found = first_of(found, detectors.SUSPECT)

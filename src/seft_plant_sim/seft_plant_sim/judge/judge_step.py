@@ -456,6 +456,16 @@ def decide(known: Record, axis: Record, count: int) -> None:
 
 
 @compiled
+def is_undecided(axis: Record) -> bool:
+    """Say whether another history that is not unlikely has other forces at the last sample."""
+    for j in range(1, axis.count):
+        b = axis.alive[j]
+        if b.weight > SURE and (b.wrong[0] ^ axis.alive[0].wrong[0]) & FORCES:
+            return True
+    return False
+
+
+@compiled
 def publish(state: JudgeState, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
     b = state.axes[i].alive[0]
