@@ -16,7 +16,14 @@ from seft_plant_sim.judge import detectors, specimen_force
 from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
 from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, look
 from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
-from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, is_undecided, judge
+from seft_plant_sim.judge.judge_step import (
+    LONG_AGO,
+    ask,
+    begin_judge,
+    is_replaced,
+    is_undecided,
+    judge,
+)
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.valve_following import under_load
 

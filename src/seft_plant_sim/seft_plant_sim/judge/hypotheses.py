@@ -250,12 +250,12 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
         if c.forced >> row + 4 & 1:
             value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
             continue
-        any_value = 0.5 * math.log(known.precision[row])
-        if b.wrong[0] >> row & 1:
-            change, variance = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
-            lasting = HALF_LOG_TURN + log_size(change, variance, known.orders, math.inf)
-            any_value = max(any_value, lasting)
-        value += any_value
+        density = 0.5 * math.log(known.precision[row])
+        if b.wrong[0] >> row & 1:  # its error goes on like the last, but for any order of magnitude
+            change, noise = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
+            like_last = HALF_LOG_TURN + log_size(change, noise, known.orders, math.inf)
+            density = max(density, like_last)
+        value += density
     if which & EVENT:
         jumps, recent, size = b.event, axis.lately, c.amplitude[at, 5]
         for age in range(3):

@@ -457,10 +457,10 @@ def decide(known: Record, axis: Record, count: int) -> None:
 
 @compiled
 def is_undecided(axis: Record) -> bool:
-    """Say whether another history that is not unlikely has other forces at the last sample."""
+    """Say whether the amplifier may have failed: by another history that is not unlikely."""
     for j in range(1, axis.count):
         b = axis.alive[j]
-        if b.weight > SURE and (b.wrong[0] ^ axis.alive[0].wrong[0]) & FORCES:
+        if b.weight > SURE and b.wrong[0] & ~axis.alive[0].wrong[0] & FORCES == FORCES:
             return True
     return False
 
