@@ -42,6 +42,8 @@ SURE = math.log(1e-4)
 PLAIN = 12.0
 """chi^2 of the four relations below which no hypothesis but the sound one can reach 1e-4 of the
 weight: exp(PLAIN / 2) times `RARE`, with any amplitude."""
+ALONE = EVENT | FORCES
+"""Bits of which an event that turns the acceleration, at an unknown time, has its own alone."""
 LEAST = RARE
 """Logarithm of the least weight of a branch: what is less likely is no alternative."""
 
@@ -261,26 +263,15 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not (fit_noise(axis, c) or hypotheses.distance(c) < PLAIN):
+    copy(4, c.off, c.solution)
+    by_noise = hypotheses.substitute(axis.root, c.solution, 4)  # chi^2 by all of S is smaller
+    if not (by_noise < PLAIN or hypotheses.distance(c) < PLAIN):
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
     continue_branch(known, axis, c, b, b, 0)
     return True
-
-
-@compiled
-def fit_noise(axis: Record, c: Record) -> bool:
-    """Say whether the residuals are plain by the noise alone; chi^2 by all of S is smaller."""
-    root, rest, chi2 = axis.root, c.solution, 0.0
-    for row in range(4):
-        value = c.off[row]
-        for column in range(row):
-            value -= root[row, column] * rest[column]
-        rest[row] = value * root[row, row]
-        chi2 += rest[row] * rest[row]
-    return chi2 < PLAIN
 
 
 @compiled
@@ -336,7 +327,7 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             chi2 = hypotheses.fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in records.SETS:
-                if forced & ~which or which & known.never or hypotheses.is_turn(which) != turns:
+                if forced & ~which or which & known.never or (which & ALONE == EVENT) != turns:
                     continue
                 if is_sound and which & ~before:
                     continue
@@ -453,16 +444,6 @@ def decide(known: Record, axis: Record, count: int) -> None:
     confirmed = abs(first.event[2]) if is_sure else 0.0
     axis.known = max(confirmed, known.events * axis.known)
     axis.lately = max(confirmed, known.brief * axis.lately)
-
-
-@compiled
-def is_undecided(axis: Record) -> bool:
-    """Say whether the amplifier may have failed: by another history that is not unlikely."""
-    for j in range(1, axis.count):
-        b = axis.alive[j]
-        if b.weight > SURE and b.wrong[0] & ~axis.alive[0].wrong[0] & FORCES == FORCES:
-            return True
-    return False
 
 
 @compiled
