@@ -140,13 +140,18 @@ def whiten(known: Record, c: Record) -> float:
 
 
 @compiled
+def product(c: Record, j: int, k: int) -> float:
+    """Product of two columns of `whitened`."""
+    w = c.whitened
+    return w[0, j] * w[0, k] + w[1, j] * w[1, k] + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+
+
+@compiled
 def fill_gram(known: Record, c: Record) -> float:
     """Fill `gram`, and give chi^2 of the residuals."""
-    w = c.whitened
     for j in range(7):
         for k in range(j + 1):
-            two = w[0, j] * w[0, k] + w[1, j] * w[1, k]
-            c.gram[j, k] = two + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+            c.gram[j, k] = product(c, j, k)
         if j < 6:
             c.gram[j, j] += known.precision[min(j, F)]
     return c.gram[6, 6]
@@ -249,7 +254,7 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
             continue
         density = 0.5 * math.log(known.precision[row])
-        if b.wrong[0] >> row & 1:  # its error goes on like the last, but for any order of magnitude
+        if b.wrong[0] >> row & 1 and axis.asked_jump == 0.0:  # its error goes on like the last
             change, noise = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
             like_last = HALF_LOG_TURN + log_size(change, noise, known.orders, math.inf)
             density = max(density, like_last)
