@@ -42,8 +42,6 @@ SURE = math.log(1e-4)
 PLAIN = 12.0
 """chi^2 of the four relations below which no hypothesis but the sound one can reach 1e-4 of the
 weight: exp(PLAIN / 2) times `RARE`, with any amplitude."""
-ALONE = EVENT | FORCES
-"""Bits of which an event that turns the acceleration, at an unknown time, has its own alone."""
 LEAST = RARE
 """Logarithm of the least weight of a branch: what is less likely is no alternative."""
 
@@ -327,7 +325,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             chi2 = hypotheses.fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in records.SETS:
-                if forced & ~which or which & known.never or (which & ALONE == EVENT) != turns:
+                turn = which & (EVENT | FORCES) == EVENT  # at an unknown time, by a known jump
+                if forced & ~which or which & known.never or turn != turns:
                     continue
                 if is_sound and which & ~before:
                     continue
