@@ -15,8 +15,9 @@ from seft_plant_sim.compiled import compiled, put_first
 from seft_plant_sim.judge import detectors, specimen_force
 from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
 from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, look
+from seft_plant_sim.judge.hypotheses import FORCES
 from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
-from seft_plant_sim.judge.judge_step import LONG_AGO, ask, begin_judge, is_replaced, judge
+from seft_plant_sim.judge.judge_step import LONG_AGO, SURE, ask, begin_judge, is_replaced, judge
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.valve_following import under_load
 
@@ -121,8 +122,15 @@ def judge_sample(
 
 @compiled
 def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
-    """Whether samples of an axis were wrong too often; the second such sample is suspect."""
-    found, counts = detectors.VALID, state.judge.counts
+    """Whether samples of an axis were wrong too often; the second such sample is suspect.
+
+    So is one where the amplifier may have failed: by another history that is not unlikely.
+    """
+    found, counts, axis = detectors.VALID, state.judge.counts, state.judge.axes[i]
+    for j in range(1, axis.count):
+        wrong = axis.alive[j].wrong[0] & ~axis.alive[0].wrong[0] & FORCES
+        if wrong == FORCES and axis.alive[j].weight > SURE and p.acts[detectors.WRONG + FORCE]:
+            found = detectors.SUSPECT
     often = max(counts[0, i], counts[1, i], counts[2, i], counts[3, i])
     for row in range(4):
         count = counts[row, i]

@@ -201,8 +201,7 @@ def detector_arrays(
         judge=judging,
     )
     sizes = {"n": n, "m": known.past.shape[2], "D": len(DETECTORS)}
-    state = zeros(DetectorState, sizes, judge=judged)
-    return parameters, state
+    return parameters, zeros(DetectorState, sizes, judge=judged)
 
 
 def _uncertain_relations(v: Floats, a: Floats, null: Floats, late: float) -> tuple[Floats, Floats]:
@@ -213,13 +212,9 @@ def _uncertain_relations(v: Floats, a: Floats, null: Floats, late: float) -> tup
     """
     one = np.ones_like(v)
     gain, delay = valve_following.LARGEST_GAIN_ERROR, valve_following.LARGEST_DELAY_ERROR
-    most = np.array(
-        [
-            [TOLERANCES[0] * one, (CHANNELS_APART + late) * one, BIAS * v],
-            [TOLERANCES[1] * one, (CHANNELS_APART + late) * one, BIAS * a],
-            [gain * one, delay * one, NOISE_SIGMAS * null],
-        ]
-    )
+    apart = (CHANNELS_APART + late) * one
+    kinematic = (TOLERANCES[0] * one, apart, BIAS * v), (TOLERANCES[1] * one, apart, BIAS * a)
+    most = np.array([*kinematic, (gain * one, delay * one, NOISE_SIGMAS * null)])
     deviation = most.copy()
     deviation[:2, :2] /= NOISE_SIGMAS
     deviation[2] = valve_following.UNCERTAIN_GAIN * one, valve_following.UNCERTAIN_DELAY * one, null

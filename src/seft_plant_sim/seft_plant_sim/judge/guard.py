@@ -236,7 +236,7 @@ class Guard:
         since = 1 + max(wrong, default=0)
         if found & FAULT and detectors.FROZEN <= row < WRONG:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
-        elif row < WRONG or len(wrong) < since:
+        elif (found & FAULT and row < WRONG) or len(wrong) < since:
             since = max(since, round(FOUND_IN / self._dt))
         return last - since - self.parameters.detectors.judge.most
 

@@ -53,12 +53,6 @@ HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
 
 @compiled
-def is_turn(which: int) -> bool:
-    """Say whether in a set an event turns the acceleration at an unknown time, by a known jump."""
-    return which & EVENT != 0 and which & FORCES == 0
-
-
-@compiled
 def allow_turn(known: Record, axis: Record, c: Record, b: Record) -> float:
     """Add to the covariance that the jump of (4) comes at any time since the last sample.
 
@@ -92,6 +86,19 @@ def factorise(matrix: Floats, root: Floats, size: int) -> float:
         value = max(value, TINY, ROUNDING * matrix[row, row])
         root[row, row], det = 1.0 / math.sqrt(value), det * value
     return det
+
+
+@compiled
+def substitute(root: Floats, rest: Floats, size: int) -> float:
+    """Divide residuals by a factor of `factorise`, and give the square of what that gives."""
+    square = 0.0
+    for row in range(size):
+        value = rest[row]
+        for k in range(row):
+            value -= root[row, k] * rest[k]
+        rest[row] = value * root[row, row]
+        square += rest[row] * rest[row]
+    return square
 
 
 @compiled
@@ -166,13 +173,9 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float]:
     for a in range(count):
         for k in range(a + 1):
             factor[a, k] = c.gram[chosen[a], chosen[k]]
-    det, gain = factorise(factor, factor, count), 0.0
-    for a in range(count):
-        value = c.gram[6, chosen[a]]
-        for k in range(a):
-            value -= factor[a, k] * solution[k]
-        solution[a] = value * factor[a, a]
-        gain += solution[a] * solution[a]
+        solution[a] = c.gram[6, chosen[a]]
+    det = factorise(factor, factor, count)
+    gain = substitute(factor, solution, count)
     for a in range(count - 1, -1, -1):
         value = solution[a]
         for k in range(a + 1, count):
@@ -249,12 +252,16 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             continue
         if c.forced >> row + 4 & 1:
             value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
-        else:
-            value += 0.5 * math.log(known.precision[row])
+            continue
+        density = 0.5 * math.log(known.precision[row])
+        if b.wrong[0] >> row & 1 and axis.asked_jump == 0.0:  # its error goes on like the last
+            change, noise = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
+            like_last = HALF_LOG_TURN + log_size(change, noise, known.orders, math.inf)
+            density = max(density, like_last)
+        value += density
     if which & EVENT:
-        jumps, recent, size = b.event, axis.lately, c.amplitude[at, 5]
-        for age in range(3):
-            recent = max(recent, abs(jumps[age]))
+        jumps, size = b.event, c.amplitude[at, 5]
+        recent = max(axis.lately, abs(jumps[0]), abs(jumps[1]), abs(jumps[2]))
         rate = NEW
         if axis.known > 0.0:
             rate += KNOWN * math.exp(-0.5 * (size / axis.known) ** 2)

@@ -261,26 +261,15 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     if c.forced or axis.count > 1 or b.wrong[0] & ANY_CHANNEL:
         return False
     compare_sample(known, axis, c, b, flow)
-    if not (fit_noise(axis, c) or hypotheses.distance(c) < PLAIN):
+    copy(4, c.off, c.solution)
+    by_noise = hypotheses.substitute(axis.root, c.solution, 4)  # chi^2 by all of S is smaller
+    if not (by_noise < PLAIN or hypotheses.distance(c) < PLAIN):
         return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
     continue_branch(known, axis, c, b, b, 0)
     return True
-
-
-@compiled
-def fit_noise(axis: Record, c: Record) -> bool:
-    """Say whether the residuals are plain by the noise alone; chi^2 by all of S is smaller."""
-    root, rest, chi2 = axis.root, c.solution, 0.0
-    for row in range(4):
-        value = c.off[row]
-        for column in range(row):
-            value -= root[row, column] * rest[column]
-        rest[row] = value * root[row, row]
-        chi2 += rest[row] * rest[row]
-    return chi2 < PLAIN
 
 
 @compiled
@@ -336,7 +325,8 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             chi2 = hypotheses.fill_gram(known, c) + goes_on
             is_sound = is_sound and chi2 < PLAIN
             for which in records.SETS:
-                if forced & ~which or which & known.never or hypotheses.is_turn(which) != turns:
+                turn = which & (EVENT | FORCES) == EVENT  # at an unknown time, by a known jump
+                if forced & ~which or which & known.never or turn != turns:
                     continue
                 if is_sound and which & ~before:
                     continue
@@ -390,7 +380,8 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         value, variance = c.seen[row], c.noise[row]
         if which >> row & 1:
             end, is_end = known.range[row], c.forced >> row + 4 & 1
-            value -= c.amplitude[at, row]
+            to.error[row] = c.amplitude[at, row]
+            value -= to.error[row]
             variance = max(c.spread[at, row], variance)
             if is_end and hypotheses.weigh_end(known, c, b, row, at)[1]:
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)

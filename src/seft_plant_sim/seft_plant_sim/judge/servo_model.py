@@ -226,8 +226,7 @@ def acceleration_of(
     )
     m = parameters.push.shape[1]
     sizes = {"n": n, "m": m, "memory": int(late.max()) + 4, "derivatives": _DERIVATIVES}
-    state = zeros(AccelerationState, sizes)
-    return parameters, state
+    return parameters, zeros(AccelerationState, sizes)
 
 
 def _gains(rate: float, dt: float) -> Floats:
