@@ -1,5 +1,7 @@
 """The plant in continuous time, sampled, and in the closed loop, against the blocks themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from bare_rig import BareRig
@@ -9,8 +11,16 @@ from hypothesis import strategies as st
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.errors import InputError
+from seft_plant_sim import lti
 from seft_plant_sim.simulated.rig import continuous_model
-from seft_ros.design.plant import Plant, lightly_damped, rig_model, roots_of
+from seft_ros.design.plant import (
+    FOLDED,
+    Plant,
+    held_relations,
+    lightly_damped,
+    rig_model,
+    roots_of,
+)
 
 MASS, STIFFNESS = 52.7, 2.11e5
 
@@ -119,3 +129,20 @@ def test_lightly_damped_are_the_pairs_that_show():
     found = lightly_damped(roots_of(values))
     assert [round(2 * np.pi * root.hz) for root in found] == [60, 100]
     assert found[0].damping == 0.0
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0022])
+def test_what_held_commands_fold_down_is_that_of_the_sampled_plant(late):
+    test = load("rate:=250.0", config="jhu")
+    plant, dt = Plant.of_model(*rig_model(test), motion=True), test.timebase.dt
+    lag, s = np.array([[0.0], [0.0], [late], [0.0]]), 2j * np.pi * np.array([3.0, 20.0])
+    a, b, c = replace(plant, late=lag.ravel()).sampled(dt)
+    shown = lti.state_space_response(a, b, c, np.zeros((4, 1)), np.exp(s * dt))[..., 0]
+    x, v, acceleration, _ = (shown * np.exp(np.multiply.outer(s, lag[:, 0]))).T
+    found, unsure = held_relations(plant, s.imag / (2 * np.pi), dt, lag)
+    expected = np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
+    np.testing.assert_allclose(found[..., 0], expected, rtol=0.0, atol=1e-6)
+    filtered = held_relations(plant, s.imag / (2 * np.pi), dt, 0 * lag, (lag, 0.5 * lag**2))[0]
+    least = FOLDED * np.abs(found - 1.0)
+    np.testing.assert_allclose(unsure, least + np.abs(found - filtered), rtol=1e-12)
+    assert (unsure > least).any() == (late > 0.0)

@@ -93,6 +93,15 @@ def test_the_actuator_is_found_with_any_specimen_and_all_noise(name):
     assert_found(fitted(*overrides, **DRIVES.get(name, {})), **other)
 
 
+def test_at_a_low_rate_images_of_held_commands_mislead_nothing():
+    fit = fitted("rate:=250.0")
+    assert fit.valve_frequency == pytest.approx(KNOWN["valve_frequency"], rel=0.02)
+    assert fit.dead_time == pytest.approx(KNOWN["dead_time"], abs=1.5e-4)
+    faster_than_seen = fitted("rate:=250.0", f"{ACTUATOR}valve_frequency:=200.0")
+    assert faster_than_seen.flow_gain == pytest.approx(KNOWN["flow_gain"], rel=0.01)
+    assert "valve_frequency" in faster_than_seen.unsure
+
+
 def test_of_several_axes_each_has_its_own():
     gains = f"{ACTUATOR}flow_gain:=[0.0403, 0.03, 0.05]"
     valves = f"{ACTUATOR}valve_frequency:=[70.0, 50.0, 90.0]"

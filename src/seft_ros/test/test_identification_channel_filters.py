@@ -113,3 +113,17 @@ def test_what_was_known_stays_unless_it_is_significantly_other():
     known.filter[:, 0] = 62.0, 90.0, 60.0, 400.0
     kept = found.apart_from(known, 200.0)
     assert kept.filter[:, 0].tolist() == [62.0, 0.0, 80.0, 400.0]
+
+
+def test_what_is_not_known_of_a_filter_counts_where_it_passes_the_motion():
+    known = ChannelFilters.none(1)
+    known.filter[FORCE], known.filter_error[FORCE] = 80.0, 0.8
+    low, high = (known.unsure(2 * np.pi * np.array([hz])) for hz in (8.0, 40.0))
+    assert (low[:FORCE] == 0.0).all()
+    # of 1 / (1 + 2 z u + u^2) with u = i f / f_0 and 1 % of f_0
+    u = 0.5j
+    wanted = 0.01 * abs((2 * 0.7071 * u + 2 * u**2) / (1 + 2 * 0.7071 * u + u**2))
+    assert high[FORCE, 0] == pytest.approx(wanted, rel=0.03)
+    assert 0.0 < low[FORCE, 0] < 0.3 * high[FORCE, 0]
+    known.filter_damping_error[FORCE] = 0.05
+    assert known.unsure(2 * np.pi * np.array([40.0]))[FORCE, 0] > 2 * high[FORCE, 0]

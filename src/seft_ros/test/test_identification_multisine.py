@@ -117,6 +117,16 @@ def test_a_weighed_mass_tells_the_scale_of_the_force():
     assert_known(found.scale[FORCE, 0], found.scale_error[FORCE, 0], 1.03, 2e-3)
 
 
+def test_what_is_not_known_of_filters_is_not_known_of_mass_and_scales():
+    fit, unsure = multisine_of().fit, np.zeros((4, 1))
+    unsure[ACCELERATION], unsure[FORCE] = 0.004, 0.003
+    behind = fit.behind_filters(unsure)
+    assert behind.mass_error == pytest.approx(np.hypot(fit.mass_error, 0.005 * fit.mass))
+    wanted = fit.scale_error.copy()
+    wanted[ACCELERATION] = np.hypot(wanted[ACCELERATION], 0.004 * fit.scale[ACCELERATION])
+    assert behind.scale_error == pytest.approx(wanted)
+
+
 def test_friction_spoils_neither_mass_nor_bias():
     biases = f"{SENSORS}force_bias:=5.0", f"{SENSORS}displacement_bias:=2e-4"
     fit = multisine_of(*FRICTION, *biases).fit
