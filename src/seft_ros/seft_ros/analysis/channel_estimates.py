@@ -297,7 +297,7 @@ def expected_relations(experiment: Experiment, frequency: float) -> tuple[Comple
     Returns
     -------
     tuple of ndarray or None
-        They, and what is not known of them, shape (2, n) each; None if no actuator is known.
+        They, shape (2, n), and what is not known of them, (3, n); None if no actuator is known.
     """
     nodes = ("reference_force", "force_controller")
     if any(node not in experiment.sections for node in nodes):

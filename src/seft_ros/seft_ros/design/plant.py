@@ -14,6 +14,7 @@ from seft_msgs_py.config.facts import FORCE_DRIVEN, POSITION_SERVO
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
 from seft_plant_sim.calibration import as_published
+from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.judge.known_rig import known_actuators, known_responses
 from seft_plant_sim.rig_parameters import common_lag
 from seft_plant_sim.simulated.actuator import Hydraulics
@@ -264,7 +265,8 @@ def held_relations(
 
     They differ from 1 because a command is held over a period: its images at f + k / dt are in the
     samples, too, as far as the plant and a channel pass them. In the acceleration that is 0.1 % at
-    500 Hz and 0.8 % at 250 Hz with a valve of 70 Hz and an oil column of 90 Hz.
+    500 Hz and 0.8 % at 250 Hz with a valve of 70 Hz and an oil column of 90 Hz. The force shows as
+    much of them as inertia has, unless its channel passes them otherwise than the accelerometer.
 
     Parameters
     ----------
@@ -285,7 +287,8 @@ def held_relations(
     relations : ndarray
         Of each axis that moves by its own drive, shape (m, 2, n).
     unsure : ndarray
-        What is not known of them, same shape: a lag may be that of a filter, and see `FOLDED`.
+        What is not known of them, shape (m, 3, n): a lag may be that of a filter, and see `FOLDED`;
+        and of the mass, kg: what the force shows of images beyond those that inertia does.
     """
     n, own = plant.b.shape[1], 2j * np.pi * np.asarray(frequencies_hz)[:, np.newaxis]
     s = own + 2j * np.pi * _IMAGES / dt
@@ -296,14 +299,17 @@ def held_relations(
 
     def relations(wait: Floats, p: Floats, q: Floats) -> Complexes:
         passed = np.exp((own - s) * wait) * (1 + own * (p + own * q)) / (1 + s * (p + s * q))
-        x, v, acceleration, _ = np.moveaxis((held * passed).sum(axis=1), 1, 0)
-        first = own[:, 0, 0]
-        return np.stack([v / (first * x), acceleration / (first * first * x)], axis=1)
+        x, v, acceleration, force = np.moveaxis((held * passed).sum(axis=1), 1, 0)
+        first, like = own[:, 0, 0], (held[:, :, FORCE] * passed[:, :, ACCELERATION]).sum(axis=1)
+        moved = first * first * x
+        return np.stack([v / (first * x), acceleration / moved, (force - like) / moved], axis=1)
 
     p, q = filters or np.zeros((2, *lag.shape))
     found = relations(lag, p, q)
     filtered = relations(np.zeros_like(lag), p + lag, q + 0.5 * lag**2)
-    return found, np.abs(found - filtered) + FOLDED * np.abs(found - 1.0)
+    unsure = np.abs(found - filtered) + FOLDED * np.abs(found - 1.0)
+    unsure[:, 2] = np.abs(found[:, 2])
+    return found[:, :2], unsure
 
 
 def rig_model(

@@ -23,7 +23,13 @@ from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.identification import multisine_estimates as estimates
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
-from seft_ros.identification.multisine import OF_RATE, Multisine, Sine, fault_free_relations
+from seft_ros.identification.multisine import (
+    OF_RATE,
+    Multisine,
+    Sine,
+    fault_free_relations,
+    no_images,
+)
 from seft_ros.identification.rig_tests import frequency_response, known_mass, motion_spectra
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
@@ -388,7 +394,7 @@ def rough_calibration(
     that of ``filters``: at these frequencies friction spoils it.
     """
     of, fault_free, derived = _low_lines(recording, band, filters)
-    fit = estimates.fit_multisine(of, (fault_free, np.zeros(fault_free.shape)), derived)
+    fit = estimates.fit_multisine(of, fault_free, derived)
     fit.lag[FORCE], fit.lag_error[FORCE] = fit.lag[ACCELERATION] + filters.force_lag, 0.0
     return Calibrated.of_multisine(fit, filters, recording.experiment)
 
@@ -397,19 +403,20 @@ def tilt_in(
     recording: Recording, band: tuple[float, float], filters: ChannelFilters
 ) -> tuple[Floats, Floats]:
     """Give the tilt in a test by random commands, and its standard errors, shape (n, n) each."""
-    return estimates.tilt_shown(*_low_lines(recording, band, filters))
+    of, (fault_free, _), derived = _low_lines(recording, band, filters)
+    return estimates.tilt_shown(of, fault_free, derived)
 
 
 def _low_lines(
     recording: Recording, band: tuple[float, float], filters: ChannelFilters
-) -> tuple[estimates.Harmonics, Complexes, bool]:
+) -> tuple[estimates.Harmonics, tuple[Complexes, Floats], bool]:
     """Lines without filters, what a rig without faults shows of them, whether v is derived."""
     experiment, (of, _) = recording.experiment, _lines(recording, band)
     low = of.w <= 2 * np.pi * OF_RATE / experiment.timebase.dt
     lines = of.w[low], of.overtones[low], of.errors[low], of.mean[low], of.time[low], of.rounding
     of = estimates.Harmonics(*lines).passed(_unfiltered(filters, experiment))
     derived = velocity_is_derived(experiment["reference_force"])
-    return of, np.ones((len(of.w), 2), complex), derived
+    return of, no_images(len(of.w)), derived
 
 
 def moved_by(recording: Recording, sines: Sequence[Sine]) -> Floats:

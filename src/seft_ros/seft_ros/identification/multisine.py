@@ -311,6 +311,11 @@ def gains_after(multisine: Multisine, moved: Floats) -> Floats:
     return factors
 
 
+def no_images(lines: int) -> tuple[Complexes, Floats]:
+    """Give `fault_free_relations` of a rig of whose commands nothing folds down."""
+    return np.ones((lines, 2), dtype=np.complex128), np.zeros((lines, 3))
+
+
 def fault_free_relations(
     found: Identified,
     sines: Sequence[Sine],
@@ -337,11 +342,11 @@ def fault_free_relations(
     relations : ndarray
         Shape (m, 2), without the lags themselves.
     unsure : ndarray
-        What is not known of them, shape (m, 2).
+        What is not known of them, shape (m, 3).
     """
     frequencies = np.array([sine.frequency for sine in sines])
     if found.has_servos:  # what folds down is what a servo does not follow
-        return np.ones((len(sines), 2), dtype=np.complex128), np.zeros((len(sines), 2))
+        return no_images(len(sines))
     plant, at = replace(_plant(found), delay=dead_time), np.arange(len(sines))
     held, unsure = held_relations(plant, frequencies, dt, lag, filters)
     moved = [sine.axis for sine in sines]

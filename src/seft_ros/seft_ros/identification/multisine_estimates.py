@@ -330,7 +330,8 @@ def fit_multisine(
         Of at least five sines on each axis.
     fault_free : tuple of ndarray
         Velocity and acceleration that a fault-free rig shows, over the derivatives of the
-        displacement, and what is not known of them, shape (m, 2) each: a held command folds down.
+        displacement, shape (m, 2): a held command folds down. And what is not known of them and of
+        the mass, (m, 3), see `seft_ros.design.plant.held_relations`.
     derived : bool
         Whether the velocity is derived from the displacement.
     tilt_elsewhere : tuple of ndarray, optional
@@ -372,7 +373,7 @@ def fit_multisine(
         of_mass, _, of_h, damping_error[i] = own.error[: 4 * n].reshape(4, n)
         hysteresis[i], hysteresis_error[i] = h[i], of_h[i]
         common = math.hypot(folded[1], *of.rounding[[0, 2, 3], i])
-        mass_error[i] = np.hypot(of_mass, common * np.abs(mass[i]))
+        mass_error[i] = np.hypot(np.hypot(of_mass, common * np.abs(mass[i])), folded[2])
         lag[3, i], lag_error[3, i] = own.value[-1], own.error[-1]
     bias, bias_error = of.mean.mean(axis=0), of.mean.std(axis=0, ddof=1) / np.sqrt(m)
     law = stiffness, hysteresis, hysteresis_error, *_symmetric(damping, damping_error)
