@@ -400,6 +400,46 @@ def fade_error(parameters: ModelParameters, state: RestoringState, j: int, place
 
 
 @compiled
+def hold_against_law(
+    parameters: ModelParameters, state: RestoringState, j: int, moved: float, measured: float
+) -> float:
+    """Hold a force, N, against the law with a corner; give the variance of what is missed, N^2.
+
+    It is that of the assumed specimen until the law takes its place.
+    """
+    stage, y, phi = state.corner.slider[j, STAGE], state.thresholds[j, CORNER], state.regressors[j]
+    if stage == 0.0:
+        return parameters.noise[j, 1]
+    variance = expect_corner(parameters.corner, state.corner, j, phi, moved, measured, y)
+    if state.corner.slider[j, STAGE] != FORETELLS:
+        return parameters.noise[j, 1]
+    if stage != FORETELLS:
+        state.sums[j, 4] = max(state.sums[j, 4], 0.0)
+    return variance
+
+
+@compiled
+def follow_law(
+    parameters: ModelParameters,
+    state: RestoringState,
+    j: int,
+    moved: float,
+    measured: float,
+    lacks: float,
+) -> None:
+    """Let the law with a corner learn, or begin where the force lacks something, N."""
+    laws, corner, phi, y = parameters.corner, state.corner, state.regressors[j], state.thresholds[j]
+    z = phi[laws.place]
+    if lacks > 0.0 and z * moved > 0.0 and may_begin(laws, corner, j):
+        slope, found = tangent(parameters, state, j), state.found[j]
+        y[CORNER] = begin_corner(laws, corner, j, phi, moved, lacks, slope, found)
+    if corner.slider[j, STAGE]:
+        y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER])
+        state.stops[j, CORNER] = phi[laws.place]
+        corner.slider[j, SHIFT] = phi[laws.place] - z
+
+
+@compiled
 def follow_specimen(
     parameters: ModelParameters, state: RestoringState, e: Floats, rate: Floats, measured: Floats
 ) -> None:
@@ -408,6 +448,7 @@ def follow_specimen(
     The stops have moved to the deformations e before. The result ``sums[:, 3]`` is the force that
     acts on the structure over this step in addition to the model's, to correct the past impulse.
     """
+    # beyond 60 lines: one update, in the order of its equations, which share their arrays
     n = len(parameters.springs)
     q = (2 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
     error = 1 + 2 * n + THRESHOLDS
@@ -416,12 +457,6 @@ def follow_specimen(
         gain, taken, left = state.work[0], state.work[1], state.work[2]
         past = state.past[j]
         found, change, sums = state.found[j], parameters.change[j], state.sums[j]
-        slider, y, laws, place = (
-            state.corner.slider[j],
-            state.thresholds[j],
-            parameters.corner,
-            parameters.corner.place,
-        )
         phi[0] = 1.0
         copy(n, e, phi[1:])
         copy(n, rate, phi[1 + n :])
@@ -431,15 +466,10 @@ def follow_specimen(
         remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
         variance = motion_noise(parameters, state, j)
         innovation = measured[j] - dot(q, found, phi)
-        moved, z, doubt = e[j] - last[1 + j], phi[place], parameters.noise[j, 1]
-        if slider[STAGE]:
-            foretold = slider[STAGE] == FORETELLS
-            of_law = expect_corner(laws, state.corner, j, phi, moved, measured[j], y[CORNER])
-            if slider[STAGE] == FORETELLS:
-                doubt = of_law
-                if not foretold:
-                    sums[4] = max(sums[4], 0.0)
-        assumed = state.corner.law[j] if slider[STAGE] == FORETELLS else parameters.start[j]
+        moved = e[j] - last[1 + j]
+        doubt = hold_against_law(parameters, state, j, moved, measured[j])
+        foretells = state.corner.slider[j, STAGE] == FORETELLS
+        assumed = state.corner.law[j] if foretells else parameters.start[j]
         surplus = measured[j] - dot(q, assumed, phi)
         for i in range(q):
             p[i, i] += parameters.drift[j, i]
@@ -447,7 +477,7 @@ def follow_specimen(
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
         variance += dot(q, phi, gain)
         of_past = dot(q, past, phi)
-        slides = abs(state.stops[j, MOVING_STOP]) == y[MOVING_STOP]
+        slides = abs(state.stops[j, MOVING_STOP]) == state.thresholds[j, MOVING_STOP]
         moves = slides or abs(rate[j]) > parameters.least[j]
         learned = q if moves else 1
         was_right = sums[4] > 0.0
@@ -462,15 +492,10 @@ def follow_specimen(
         is_change = surprise > parameters.surprise
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
-        yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0 and z * moved > 0.0
-        if yields and may_begin(laws, state.corner, j):
-            lacks = abs(innovation)
-            y[CORNER] = begin_corner(laws, state.corner, j, phi, moved, lacks, slope, found)
-        if slider[STAGE]:
-            y[CORNER] = follow_corner(laws, state.corner, j, phi, measured[j], y[CORNER])
-            state.stops[j, CORNER] = phi[place]
-            slider[SHIFT] = phi[place] - z
-        assumed = state.corner.law[j] if slider[STAGE] == FORETELLS else parameters.start[j]
+        yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0
+        follow_law(parameters, state, j, moved, measured[j], abs(innovation) if yields else 0.0)
+        foretells = state.corner.slider[j, STAGE] == FORETELLS
+        assumed = state.corner.law[j] if foretells else parameters.start[j]
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
         offset = gain[0]
         if not moves:  # the sum may be far more certain than its offset: that gains no more

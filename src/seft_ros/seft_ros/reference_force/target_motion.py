@@ -310,6 +310,7 @@ def steps_ahead(known: MethodInputs) -> int:
 
 def target_arrays(known: MethodInputs) -> tuple[TargetParameters, TargetState, ModelLine | None]:
     """Put a target into arrays, from the known data of a test; make a computed model's line."""
+    # beyond 60 lines: each array once, in the order in which they need each other
     n, computed, dt = known.axes, known.computed, known.dt
     size = n + computed.internal
     names = tuple(f"axis {index + 1}" for index in range(n))
