@@ -252,13 +252,8 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             continue
         if c.forced >> row + 4 & 1:
             value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
-            continue
-        density = 0.5 * math.log(known.precision[row])
-        if b.wrong[0] >> row & 1 and axis.asked_jump == 0.0:  # its error goes on like the last
-            change, noise = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
-            like_last = HALF_LOG_TURN + log_size(change, noise, known.orders, math.inf)
-            density = max(density, like_last)
-        value += density
+        else:
+            value += 0.5 * math.log(known.precision[row])
     if which & EVENT:
         jumps, size = b.event, c.amplitude[at, 5]
         recent = max(axis.lately, abs(jumps[0]), abs(jumps[1]), abs(jumps[2]))

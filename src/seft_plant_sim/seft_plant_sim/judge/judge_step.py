@@ -380,8 +380,7 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         value, variance = c.seen[row], c.noise[row]
         if which >> row & 1:
             end, is_end = known.range[row], c.forced >> row + 4 & 1
-            to.error[row] = c.amplitude[at, row]
-            value -= to.error[row]
+            value -= c.amplitude[at, row]
             variance = max(c.spread[at, row], variance)
             if is_end and hypotheses.weigh_end(known, c, b, row, at)[1]:
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
