@@ -139,7 +139,7 @@ def test_what_held_commands_fold_down_is_that_of_the_sampled_plant(late):
     a, b, c = replace(plant, late=lag.ravel()).sampled(dt)
     shown = lti.state_space_response(a, b, c, np.zeros((4, 1)), np.exp(s * dt))[..., 0]
     x, v, acceleration, _ = (shown * np.exp(np.multiply.outer(s, lag[:, 0]))).T
-    found, unsure = held_relations(plant, s.imag / (2 * np.pi), dt, lag)
+    found, unsure = held_relations(plant, s.imag / (2 * np.pi), dt, lag, (0 * lag, 0 * lag))
     expected = np.stack([v / (s * x), acceleration / (s * s * x)], axis=1)
     np.testing.assert_allclose(found[..., 0], expected, rtol=0.0, atol=1e-6)
     filtered = held_relations(plant, s.imag / (2 * np.pi), dt, 0 * lag, (lag, 0.5 * lag**2))[0]

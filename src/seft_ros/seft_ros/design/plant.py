@@ -259,7 +259,7 @@ def held_relations(
     frequencies_hz: Floats,
     dt: float,
     lag: Floats,
-    filters: tuple[Floats, Floats] | None = None,
+    filters: tuple[Floats, Floats],
 ) -> tuple[Complexes, Floats]:
     """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
 
@@ -278,7 +278,7 @@ def held_relations(
         Sampling period, s.
     lag : ndarray
         Of each channel, shape (4, n), s, to which they are aligned after sampling.
-    filters : tuple of ndarray, optional
+    filters : tuple of ndarray
         p (s) and q (s^2) of each channel's filter, (4, n) each, see
         `seft_plant_sim.rig_parameters.filter_of`.
 
@@ -304,7 +304,7 @@ def held_relations(
         moved = first * first * x
         return np.stack([v / (first * x), acceleration / moved, (force - like) / moved], axis=1)
 
-    p, q = filters or np.zeros((2, *lag.shape))
+    p, q = filters
     found = relations(lag, p, q)
     filtered = relations(np.zeros_like(lag), p + lag, q + 0.5 * lag**2)
     unsure = np.abs(found - filtered) + FOLDED * np.abs(found - 1.0)

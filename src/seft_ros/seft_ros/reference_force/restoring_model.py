@@ -22,8 +22,8 @@ because a force does not jump when a stiffness does.
 
 The assumed specimen is a model without unknowns. If it is right, it predicts better than a model
 that still learns. The two are weighted by their likelihoods (Magill 1965), whose ratio is bounded
-so that each can overtake the other. When a specimen has yielded, a law that
-foretells its corners takes the place of that, see `yield_corner`.
+so that each can overtake the other. When a specimen has yielded, a law that foretells its corners
+takes the place of the assumed specimen, see `yield_corner`.
 
 The structure remembers the restoring force as an impulse, and every sample also improves the
 estimate of earlier forces. With the covariance c of the parameters and that impulse, the Kalman

@@ -97,19 +97,15 @@ def expect_corner(
         Change of the deformation, m; the force; and the threshold, m.
     """
     z, law, slider, covariance = phi[p.place], state.law[j], state.slider[j], state.covariance[j]
-    factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
-    slips = abs(z) == y
+    damping, slips = 1 + len(p.start) + j, abs(z) == y
     if slips and z * slider[_SENSE] < 0.0:
         slider[_SENSE], slider[_SLID], slider[_FROM] = -slider[_SENSE], 0.0, slider[_END]
     if slips:
         slider[_END] = phi[1 + j]
-    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
-    factors[3], factors[4] = z - slider[_SENSE] * y, slider[_SENSE]
     covariance[1, 1] += p.drift[j, 1 + j]
     covariance[2, 2] += p.drift[j, damping]
-    multiply_sized(5, 5, covariance, factors, gain)
-    variance = p.noise[j] + dot(5, factors, gain)
-    missed = measured - _force(law, phi, p.place, factors, slider)
+    variance = _variance(p, state, j, phi, y)
+    missed = measured - _force(law, phi, p.place, state.work[0], slider)
     slider[_SUM] = p.recent * slider[_SUM] + missed
     slider[_VARIANCE] = p.recent * p.recent * slider[_VARIANCE] + variance
     if is_refuted(p, slider):
@@ -120,6 +116,16 @@ def expect_corner(
         if saved > STANDS_OUT * math.sqrt(p.noise[j]):
             slider[STAGE] = FORETELLS
     return variance
+
+
+@compiled
+def _variance(p: CornerParameters, state: CornerState, j: int, phi: Floats, y: float) -> float:
+    """Variance of a force about its law, N^2; ``work`` is then the factors and their gains."""
+    factors, gain, sense = state.work[0], state.work[1], state.slider[j, _SENSE]
+    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[1 + len(p.start) + j]
+    factors[3], factors[4] = phi[p.place] - sense * y, sense
+    multiply_sized(5, 5, state.covariance[j], factors, gain)
+    return p.noise[j] + dot(5, factors, gain)
 
 
 @compiled
@@ -157,7 +163,7 @@ def begin_corner(
 
     Parameters
     ----------
-    p, state, j, phi, moved, y
+    p, state, j, phi, moved
         See `expect_corner`; z in ``phi`` is changed to that of the corner.
     lacks, slope : float
         What the force lacks, N, and the stiffness before, N/m.
@@ -197,10 +203,7 @@ def follow_corner(
     """Update the law of spring j with its force; give y, and change z in ``phi`` accordingly."""
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
     factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
-    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
-    factors[3], factors[4] = phi[p.place] - slider[_SENSE] * y, slider[_SENSE]
-    multiply_sized(5, 5, covariance, factors, gain)
-    per_variance = 1.0 / (p.noise[j] + dot(5, factors, gain))
+    per_variance = 1.0 / _variance(p, state, j, phi, y)
     share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
     law[0] += gain[0] * share
     law[1 + j] += gain[1] * share
