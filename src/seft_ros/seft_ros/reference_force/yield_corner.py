@@ -193,6 +193,7 @@ def begin_corner(
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
     slider[_FROM], slider[_END] = start, e
     phi[p.place] = sense * y
+    _variance(p, state, j, phi, y)
     return y
 
 
@@ -200,10 +201,13 @@ def begin_corner(
 def follow_corner(
     p: CornerParameters, state: CornerState, j: int, phi: Floats, measured: float, y: float
 ) -> float:
-    """Update the law of spring j with its force; give y, and change z in ``phi`` accordingly."""
+    """Update the law of spring j with its force; give y, and change z in ``phi`` accordingly.
+
+    ``work`` is as `expect_corner` or `begin_corner` has left it.
+    """
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
     factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
-    per_variance = 1.0 / _variance(p, state, j, phi, y)
+    per_variance = 1.0 / (p.noise[j] + dot(5, factors, gain))
     share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
     law[0] += gain[0] * share
     law[1 + j] += gain[1] * share
