@@ -69,6 +69,7 @@ class CalibrationEffect:
         self._motion = equivalent.advance(samples)
         self._part = slice(None)
         self._law = SpecimenLaw(self._whole, self.mass, samples, self.springs, dt)
+        self.deformation = self._law.deformation
 
     def within(self, part: slice) -> "CalibrationEffect":
         """Give the same for deviations that are there in these samples alone."""
@@ -388,8 +389,9 @@ def _drifts(
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
-    e, rates = x @ springs.T, v @ springs.T
-    fits = [force_drift(e[:, j], rates[:, j], forces[:, j]) for j in range(n)]
+    e, rates = effect.deformation, v @ springs.T
+    noise = channel_estimates.noise_of(x @ springs.T)
+    fits = [force_drift(e[:, j], noise[j], rates[:, j], forces[:, j]) for j in range(n)]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
     of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)

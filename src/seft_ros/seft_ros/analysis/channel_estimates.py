@@ -19,7 +19,7 @@ motion y of the acceleration a + c (Whittaker 1923, Numerov 1924; D: second diff
 
     D y / dt^2 = c + N a,  so  (1 + (s_x / (s_a dt^2))^2 D D^T) c = D x / dt^2 - N a       (3)
 
-with (N a)_k = (a_k-1 + 10 a_k + a_k+1) / 12.
+with (N a)_k = (a_k-1 + 10 a_k + a_k+1) / 12, and y = x - (s_x / (s_a dt))^2 D^T c.
 
 A valve's commands are steps, and what they excite above half the rate looks like the motion itself:
 at 250 Hz 0.8 % of its acceleration, which the displacement has not. Of force and M a it is the same
@@ -260,7 +260,7 @@ def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Fl
 
 
 def with_motion(samples: Floats, of_x: Floats, of_a: Floats, dt: float) -> Floats:
-    """Take from the displacement what it knows better of the acceleration, Eq. (3).
+    """Take what displacement and acceleration know better of each other, c and y of Eq. (3).
 
     Parameters
     ----------
@@ -277,7 +277,9 @@ def with_motion(samples: Floats, of_x: Floats, of_a: Floats, dt: float) -> Float
         weight = (of_x[i] / (of_a[i] * dt**2)) ** 2
         if np.isfinite(weight):  # not of a test that went unstable
             bands = np.repeat([[weight], [-4.0 * weight], [1.0 + 6.0 * weight]], inner, axis=1)
-            found[1:-1, ACCELERATION, i] += solveh_banded(bands, lacking, check_finite=False)
+            c = solveh_banded(bands, lacking, check_finite=False)
+            found[1:-1, ACCELERATION, i] += c
+            found[:, DISPLACEMENT, i] -= weight * dt**2 * np.diff(np.pad(c, 2), 2)
     return found
 
 

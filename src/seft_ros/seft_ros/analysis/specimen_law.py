@@ -24,20 +24,26 @@ periods. Those of a random walk, which has no drift, are independent with standa
 fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS).
 """
 
+import math
+
 import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
-from seft_plant_sim.compiled import bounded, compiled
+from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT
+from seft_plant_sim.compiled import bounded, compiled, smooth_sign
 from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
-from seft_ros.analysis.channel_estimates import noise_of, summed_covariance
+from seft_ros.analysis.channel_estimates import noise_of, summed_covariance, with_motion
 from seft_ros.analysis.metrics import ratio
-from seft_ros.reference_force.restoring_model import stop_operators
 
-STOP_OPERATORS, CORNERS = 12, 40
-"""Stop operators and corners of the curve of a spring: from noise to most of its deformation, and
-so close that a corner of the law is within a hundredth of it."""
+SHARP, ROUND, CORNERS = 24, 12, 40
+"""Stop operators with a corner, those of each roundness, Eq. (2), and corners of the curve of a
+spring: from noise to most of its deformation, and so close that a corner of the law is within a
+hundredth of it."""
+STOP_OPERATORS = SHARP + 2 * ROUND
+_POWERS = np.repeat([0.0, 1.0, 2.0], [SHARP, ROUND, ROUND])  # of Eq. (2); 0: a corner
+_NEXT = 1.4  # threshold of a round one over that of the next, up to the largest deformation
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
 _BLOCK = 1 << 10  # of them at a time
@@ -92,12 +98,15 @@ class SpecimenLaw:
     def __init__(
         self, whole: WholeStructure, mass: Floats, samples: Floats, deformation: Floats, dt: float
     ) -> None:
-        x, v, a, f = np.moveaxis(samples, 1, 0)
+        sizes = noise_of(samples[:, DISPLACEMENT]), noise_of(samples[:, ACCELERATION])
+        noise = noise_of(samples[:, DISPLACEMENT] @ deformation.T)
+        _, v, a, f = np.moveaxis(samples, 1, 0)
+        x = with_motion(samples, *sizes, dt)[:, DISPLACEMENT]
         self._whole, self._dt, self._x = whole, dt, x
         self._springs = np.ascontiguousarray(deformation)
-        self._e, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
-        low, high = self._e.min(axis=0), self._e.max(axis=0)
-        self._thresholds = _thresholds(self._e, STOP_OPERATORS, 0.7)
+        self.deformation, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
+        low, high = self.deformation.min(axis=0), self.deformation.max(axis=0)
+        self._thresholds = _thresholds(self.deformation, noise, SHARP, 0.7)
         self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
@@ -140,10 +149,10 @@ class SpecimenLaw:
             begin = min(first, 1)  # stop operators need the sample before
             before, here = slice(first - begin, first + block), slice(first, first + block, every)
             parts = []
-            for j, e in enumerate(self._e[before].T):
-                stops = stop_operators(e, self._thresholds[j], z[j])
+            for j, e in enumerate(self.deformation[before].T):
+                stops = _followed(e, self._thresholds[j], _POWERS, z[j])
                 z[j] = stops[-1]
-                place = (self._e[here, j] - self._low[j]) / self._step[j] - 1.0
+                place = (self.deformation[here, j] - self._low[j]) / self._step[j] - 1.0
                 stops, rate = stops[begin::every] / self._thresholds[j], rates[here, j] / size[j]
                 parts.append(_regressors(stops, place, CORNERS, rate))
                 right[j] += parts[j].T @ force[here, j]
@@ -168,20 +177,33 @@ class SpecimenLaw:
         push = -dt * self._whole.motion(change) @ (inverse @ mass).T
         moved, p = np.zeros((len(change), structure.axes)), len(self._springs)
         springs = np.pad(self._springs, [(0, 0), inside[0]])
-        law = self._thresholds, self._slopes, self._curve, self._low, self._step
+        law = self._thresholds, _POWERS, self._slopes, self._curve, self._low, self._step
         linear = keeps, dt * inverse @ computed.stiffness, dt * inverse
         work = np.zeros((2, p, STOP_OPERATORS)), np.zeros((2, p)), np.zeros((2, structure.axes))
-        _differ(self._e, springs, law, linear, push, dt, moved, work)
+        _differ(self.deformation, springs, law, linear, push, dt, moved, work)
         moved = moved[:, : change.shape[1]]
         moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
         return ratio(moved_rms, whole_rms)
 
 
-def _thresholds(e: Floats, count: int, highest: float) -> Floats:
-    """Thresholds of stop operators, from noise to a share of each deformation; (p, count)."""
-    most = np.maximum(highest * np.abs(e).max(axis=0), 1e-300)
-    least = np.maximum(4 * noise_of(e), most / 1000)  # noise moves none beyond it
-    return np.geomspace(least, most, count).T
+def _thresholds(e: Floats, noise: Floats, sharp: int, highest: float) -> Floats:
+    """Thresholds of stop operators, of the sharp ones from noise to a share of each deformation.
+
+    Shape (p, sharp + 2 ROUND).
+    """
+    largest = np.maximum(np.abs(e).max(axis=0), 1e-300)
+    least = np.maximum(noise, largest / 1000)
+    each = np.geomspace(least, highest * largest, sharp).T
+    rounded = largest[:, np.newaxis] * _NEXT ** np.arange(1.0 - ROUND, 1.0)
+    return np.hstack([each, rounded, rounded])
+
+
+def _followed(e: Floats, thresholds: Floats, powers: Floats, start: Floats) -> Floats:
+    """Give the stop operators of a deformation, (N,), which begin with some values; (N, m)."""
+    stops = np.empty((len(e), len(thresholds)))
+    stops[0] = start
+    _follow(np.ascontiguousarray(e), thresholds, powers, stops)
+    return stops
 
 
 def _regressors(stops: Floats, place: Floats, corners: int, *linear: Floats) -> Floats:
@@ -197,7 +219,9 @@ def _prior(rows: int, columns: int, stops: int, corners: int, smooth: float) -> 
     return rows * (smooth**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
 
 
-def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float, float, Floats]:
+def force_drift(
+    deformation: Floats, noise: float, rate: Floats, force: Floats
+) -> tuple[float, float, Floats]:
     """Fit the zero of a spring's force, Eq. (1); give b, N, its standard error, and g, (N,).
 
     Parameters
@@ -206,10 +230,12 @@ def force_drift(deformation: Floats, rate: Floats, force: Floats) -> tuple[float
         Of the spring, shape (N,).
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
-    (thresholds,) = _thresholds(deformation[:, np.newaxis], _STOPS, 1.0)
-    thresholds = np.append(thresholds, thresholds[-1] * np.arange(1, _EVEN) / _EVEN)
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], noise, _STOPS, 1.0)
+    even = thresholds[-1] * np.arange(1, _EVEN) / _EVEN
+    thresholds = np.append(even, thresholds)
+    powers = np.append(np.zeros(len(thresholds) - 2 * ROUND), _POWERS[-2 * ROUND :])
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
-    stops = stop_operators(deformation, thresholds)[here] / thresholds
+    stops = _followed(deformation, thresholds, powers, 0.0 * powers)[here] / thresholds
     motion = rate[here], deformation[here]
     linear = (one / (np.sqrt(np.mean(one**2)) + 1e-300) for one in motion)
     law, y = _regressors(stops, place[here], _CORNERS, *linear), force[here]
@@ -252,12 +278,37 @@ def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, 
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
     regressors, q = np.hstack([drift, law]), drift.shape[1]
     normal = regressors.T @ regressors
-    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS + _EVEN - 1, _CORNERS, _DRIFT_SMOOTH)
+    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS + 2 * ROUND + _EVEN - 1, _CORNERS, _DRIFT_SMOOTH)
     inverse = np.linalg.inv(normal)
     values = inverse @ (regressors.T @ y)
     left = y - regressors @ values
     spread = summed_covariance(regressors * left[:, np.newaxis], max(2, len(y) // _MEMORY))
     return values[:q], np.sqrt((inverse @ spread @ inverse).diagonal()[:q]), left
+
+
+@compiled
+def _stop(z: float, change: float, limit: float, power: float) -> float:
+    """Move a stop operator, Eq. (2)."""
+    if power == 0.0:
+        return bounded(z + change, limit)
+    sign = math.copysign(1.0, change)
+    back = min(max(-z * sign, 0.0), abs(change))
+    z += sign * back
+    if back > 0.0 and z * sign < 0.0:
+        return z
+    share, moved = abs(z) / limit, (abs(change) - back) / limit
+    if power == 1.0:
+        return sign * limit * (1.0 - (1.0 - share) * math.exp(-moved))
+    moved = smooth_sign(moved)
+    return sign * limit * (share + moved) / (1.0 + share * moved)
+
+
+@compiled
+def _follow(e: Floats, thresholds: Floats, powers: Floats, stops: Floats) -> None:
+    """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
+    for i in range(len(thresholds)):
+        for k in range(1, len(e)):
+            stops[k, i] = _stop(stops[k - 1, i], e[k] - e[k - 1], thresholds[i], powers[i])
 
 
 @compiled
@@ -272,7 +323,7 @@ def _curve_at(curve: Floats, place: float) -> float:
 def _differ(
     e: Floats,
     springs: Floats,
-    law: tuple[Floats, Floats, Floats, Floats, Floats],
+    law: tuple[Floats, Floats, Floats, Floats, Floats, Floats],
     linear: tuple[Floats, Floats, Floats],
     push: Floats,
     dt: float,
@@ -283,7 +334,7 @@ def _differ(
 
     ``work`` are stop operators of both motions, last deformations and velocities.
     """
-    thresholds, slopes, curve, low, step = law
+    thresholds, powers, slopes, curve, low, step = law
     keeps, pulls, inverse = linear
     z, last, velocity = work
     n, (p, m) = len(keeps), thresholds.shape
@@ -299,10 +350,11 @@ def _differ(
             for h in range(n):
                 both += springs[j, h] * moved[k, h]
             for i in range(m):
-                y = thresholds[j, i]
-                z[0, j, i] = bounded(z[0, j, i] + e[k, j] - last[0, j], y)
-                z[1, j, i] = bounded(z[1, j, i] + both - last[1, j], y)
-                force += slopes[j, i] * (z[1, j, i] - z[0, j, i])
+                if slopes[j, i] > 0.0:
+                    y, power = thresholds[j, i], powers[i]
+                    z[0, j, i] = _stop(z[0, j, i], e[k, j] - last[0, j], y, power)
+                    z[1, j, i] = _stop(z[1, j, i], both - last[1, j], y, power)
+                    force += slopes[j, i] * (z[1, j, i] - z[0, j, i])
             last[0, j], last[1, j] = e[k, j], both
             force += _curve_at(curve[j], (both - low[j]) / step[j])
             force -= _curve_at(curve[j], (e[k, j] - low[j]) / step[j])
