@@ -21,6 +21,7 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis import channel_estimates
+from seft_ros.analysis.specimen_law import DESCRIBED, fine_law
 from seft_ros.reference_force.restoring_model import stop_operators
 from seft_ros.reference_force.yield_corner import STANDS_OUT
 
@@ -84,11 +85,15 @@ def inertia(
     by_spring, n = x @ deformation.T, x.shape[1]
     noises = channel_estimates.noise_of(by_spring)
     laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noises, strict=True)]
+    moved = channel_estimates.with_motion(states, noise, channel_estimates.noise_of(a), dt)
+    fine = [
+        fine_law(*one) for one in zip((moved[:, 0] @ deformation.T).T, noises, strict=True)
+    ]
     share = np.eye(n)
     if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
         share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
     else:
-        laws = [np.hstack(laws)] * n
+        laws, fine = [np.hstack(laws)] * n, [np.hstack(fine)] * n
 
     def filtered(y: Floats, *orders: int) -> list[Floats]:
         return [one[::every] for one in channel_estimates.derivatives(y, orders, band, dt, half)]
@@ -96,7 +101,12 @@ def inertia(
     own = [*filtered(f, 0), *filtered(a @ mass.T, 0, 1), *filtered(v @ mass.T, 1, 2)]
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
-    laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
+    laws, fine = ([np.hstack([*filtered(law, 0), rates]) for law in each] for each in (laws, fine))
+    size = max(n + 3, round(WINDOWS[0] / (frequency * dt * every)))
+    take = np.arange(len(travel) // size * size).reshape(-1, size)
+    whole, left = _fit([y[take] for y in own], seen[take], *(y[take] for y in fine), share=share)
+    white = channel_estimates.noise_of((f - a @ mass.T) @ share.T) * np.sqrt(2.0 * top * dt)
+    is_described = len(take) > FEWEST_WINDOWS and (left <= DESCRIBED * white).all()
     found = []
     for length in WINDOWS:
         size = max(n + 3, round(length / (frequency * dt * every)))
@@ -104,7 +114,9 @@ def inertia(
         if len(take) < FEWEST_WINDOWS:
             continue
         projected = without_line([*own, seen, *laws], travel, take)
-        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
+        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share)[0])
+    if is_described:
+        found = [whole, whole]
     if len(found) < 2:
         return None
     each = np.array(found).reshape(-1, 2, 2, n)  # length, (value, error), (m, -m tau), axis
@@ -171,7 +183,9 @@ def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.int
 
 
 def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple[Floats, Floats]:
-    """Fit Eq. (1) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
+    """Fit Eq. (1) of all springs together; give (m, -m tau), standard errors, and what is left.
+
+    Shapes (2, 2n), and RMS of each equation, (n,).
 
     Parameters
     ----------
@@ -200,7 +214,7 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
     axes, its = slice(2 * n), slice(2 * n, None)  # columns of every equation, and of its own law
     try:
         for _ in range(_ROUNDS):
-            normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
+            normal, right, solved, rms = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), [], np.zeros(n)
             for target, regressors, z, weights in equations:
                 weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
                 sums = weighted.T @ regressors.reshape(weighted.shape)
@@ -214,15 +228,17 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
                 right += answer[axes] - onto.T @ answer[its]
                 solved.append((law_of, onto))
             found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
-            for equation, (law_of, onto) in zip(equations, solved, strict=True):
+            for i, (equation, (law_of, onto)) in enumerate(zip(equations, solved, strict=True)):
                 target, regressors, z, weights = equation
                 left = target - regressors @ np.append(found, law_of @ np.append(1.0, -found))
                 moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
                 scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
                 variance = (left**2).mean(axis=1)
+                rms[i] = np.sqrt(variance.mean())
                 least = max(float(np.quantile(variance, 0.1)), 1e-300)
                 weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
         scores = np.linalg.solve(normal, scores.T).T
     except np.linalg.LinAlgError:
-        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
-    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))
+        return np.full((2, 2 * n), np.nan), np.full(n, np.nan)
+    error = np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))
+    return np.array([found, error]), rms

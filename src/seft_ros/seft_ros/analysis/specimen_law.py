@@ -56,7 +56,7 @@ MODES = 10
 _SLOW = 3  # of them, in which a drift may be
 _STOPS, _EVEN, _CORNERS = 24, 48, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
-_DESCRIBED = 1.2  # what the law leaves, over the noise
+DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
 
 
@@ -219,6 +219,27 @@ def _prior(rows: int, columns: int, stops: int, corners: int, smooth: float) -> 
     return rows * (smooth**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
 
 
+def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Floats:
+    """Regressors of the force of a spring whose law is known to its noise; shape (N, q).
+
+    Parameters
+    ----------
+    deformation : ndarray
+        Shape (N,).
+    noise : float
+        RMS, m.
+    rows : slice
+        Those that are wanted.
+    """
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], noise, _STOPS, 1.0)
+    thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
+    powers = np.append(np.zeros(len(thresholds) - 2 * ROUND), _POWERS[SHARP:])
+    stops = _followed(deformation, thresholds, powers, 0.0 * powers)[rows] / thresholds
+    place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
+    size = np.sqrt(np.mean(deformation**2)) + 1e-300
+    return _regressors(stops, place[rows], _CORNERS, deformation[rows] / size)
+
+
 def force_drift(
     deformation: Floats, noise: float, rate: Floats, force: Floats
 ) -> tuple[float, float, Floats]:
@@ -230,21 +251,15 @@ def force_drift(
         Of the spring, shape (N,).
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
-    (thresholds,) = _thresholds(deformation[:, np.newaxis], noise, _STOPS, 1.0)
-    even = thresholds[-1] * np.arange(1, _EVEN) / _EVEN
-    thresholds = np.append(even, thresholds)
-    powers = np.append(np.zeros(len(thresholds) - 2 * ROUND), _POWERS[-2 * ROUND :])
-    place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
-    stops = _followed(deformation, thresholds, powers, 0.0 * powers)[here] / thresholds
-    motion = rate[here], deformation[here]
-    linear = (one / (np.sqrt(np.mean(one**2)) + 1e-300) for one in motion)
-    law, y = _regressors(stops, place[here], _CORNERS, *linear), force[here]
+    law, y = fine_law(deformation, noise, here), force[here]
+    rates = rate[here]
+    law = np.column_stack([law, rates / (np.sqrt(np.mean(rates**2)) + 1e-300)])
     power, begin = _best_onset(law, y)
     time, at = np.arange(count), here.step * begin
     shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
     values, errors, left = _beside_law(shape[here, np.newaxis], law, y)
     largest = np.sqrt(2.0 * np.log(2.0 * len(y)))  # of a step and a ramp at each row
-    if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
+    if np.sqrt(np.mean(left**2)) <= DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         return float(values[0]), float(largest * errors[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
