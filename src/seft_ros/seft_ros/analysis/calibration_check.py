@@ -7,7 +7,7 @@ The estimates are those of `seft_ros.analysis.channel_estimates` and
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -248,7 +248,8 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
-        own = _combined(own, _known_inertia(experiment, effect.mass))
+        known = _known_inertia(experiment, effect.mass)
+        own = _combined(own, known)
         relations = list(_relations(experiment, samples, frequency))
         halves = _halves(samples)
         in_parts += _drifts(effect, samples, dt, halves, axes)
@@ -257,7 +258,7 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
             if np.isfinite(own.lag_error).all():
                 means["unsure_lag"] = effect.of_force_lag(SIGNIFICANT * own.lag_error)
             moved = max((one.effect for one in in_parts), default=0.0)
-            means["at_most"] = _at_most(effect, own, relations, untrue, moved)
+            means["at_most"] = _at_most(effect, own, known, relations, untrue, moved)
         if identified.any() and not untrue.any():
             means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
@@ -343,14 +344,20 @@ def _deviations(
 
 
 def _at_most(
-    effect: CalibrationEffect, own: Relation, others: list[_OfChannel], untrue: Floats, moved: float
+    effect: CalibrationEffect,
+    own: Relation,
+    known: Relation | None,
+    others: list[_OfChannel],
+    untrue: Floats,
+    moved: float,
 ) -> float:
     """Displacement error that the estimates' distribution exceeds with the chance `CHANCE`.
 
     The effects of mass, scale and lag are at other times: their squares add up. What is not known
     of the acceleration's scale is little but folding, which makes no test wrong, and a wrong
-    velocity misleads the valve alone: the motion shows what came of it. No motion shows what is
-    not known of the forces' scale, ``untrue``, (n,). ``moved`` is the effect of a drift.
+    velocity misleads the valve alone: the motion shows what came of it. What tells the mass tells
+    the acceleration against the displacement as well, at least. No motion shows what is not known
+    of the forces' scale, ``untrue``, (n,). ``moved`` is the effect of a drift.
     """
     off, lag_error = own.scale - 1.0, np.where(np.isfinite(own.lag_error), own.lag_error, 0.0)
     effects = [
@@ -361,9 +368,11 @@ def _at_most(
     ]
     for channel, of, scale, lag in others:
         if channel == "acceleration":
-            one, late = np.eye(len(off)), of.lag - lag
-            effects.append((effect.of_scale(one + of.scale - np.diag(scale)), 0.0))
-            effects.append((effect.of_lag(late), 0.0))
+            one, error = (y.diagonal() for y in (of.scale, of.scale_error))
+            both = _combined(Relation(1.0 + one - scale, error, of.lag - lag, of.lag_error), known)
+            shown = of.scale.copy()
+            np.fill_diagonal(shown, both.scale)
+            effects += (effect.of_scale(shown), 0.0), (effect.of_lag(both.lag), 0.0)
     mean, spread = np.array(effects).T
     drawn = mean + spread * np.random.default_rng(0).standard_normal((1 << 12, len(mean)))
     return float(np.quantile(np.sqrt((drawn**2).sum(axis=1)), 1.0 - CHANCE))
@@ -433,6 +442,10 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 
 
+@overload
+def _combined(own: Relation, known: Relation | None) -> Relation: ...
+@overload
+def _combined(own: Relation | None, known: Relation | None) -> Relation | None: ...
 def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
     """Combine two estimates by their standard errors.
 

@@ -21,7 +21,8 @@ most. The standard error is that of correlated residuals (Newey & West 1987), ti
 errors that the largest of so many has by chance. Any other law leaves slow residuals. With g = (1 -
 cos(pi t / T)) / 2 in the time T of the test, they are fitted by cosines of k = 1 to `MODES` half
 periods. Those of a random walk, which has no drift, are independent with standard deviations that
-fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS).
+fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS), and by how much
+a law without round corners differs.
 """
 
 import math
@@ -41,8 +42,8 @@ SHARP, ROUND, CORNERS = 24, 12, 40
 """Stop operators with a corner, those of each roundness, Eq. (2), and corners of the curve of a
 spring: from noise to most of its deformation, and so close that a corner of the law is within a
 hundredth of it."""
-STOP_OPERATORS = SHARP + 2 * ROUND
-_POWERS = np.repeat([0.0, 1.0, 2.0], [SHARP, ROUND, ROUND])  # of Eq. (2); 0: a corner
+STOP_OPERATORS = SHARP + 3 * ROUND
+_POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [SHARP, ROUND, ROUND, ROUND])  # of Eq. (2); 0: a corner
 _NEXT = 1.4  # threshold of a round one over that of the next, up to the largest deformation
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
@@ -54,7 +55,7 @@ _PARTS = 16  # of a test, in the first and last of which no step begins
 MODES = 10
 """Cosines of Eq. (1)."""
 _SLOW = 3  # of them, in which a drift may be
-_STOPS, _EVEN, _CORNERS = 24, 48, 30  # beside a drift: the corner of a law is within its noise
+_STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
@@ -189,13 +190,13 @@ class SpecimenLaw:
 def _thresholds(e: Floats, noise: Floats, sharp: int, highest: float) -> Floats:
     """Thresholds of stop operators, of the sharp ones from noise to a share of each deformation.
 
-    Shape (p, sharp + 2 ROUND).
+    Shape (p, sharp + 3 ROUND).
     """
     largest = np.maximum(np.abs(e).max(axis=0), 1e-300)
     least = np.maximum(noise, largest / 1000)
     each = np.geomspace(least, highest * largest, sharp).T
     rounded = largest[:, np.newaxis] * _NEXT ** np.arange(1.0 - ROUND, 1.0)
-    return np.hstack([each, rounded, rounded])
+    return np.hstack([each, rounded, rounded, rounded])
 
 
 def _followed(e: Floats, thresholds: Floats, powers: Floats, start: Floats) -> Floats:
@@ -233,7 +234,7 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
     """
     (thresholds,) = _thresholds(deformation[:, np.newaxis], noise, _STOPS, 1.0)
     thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
-    powers = np.append(np.zeros(len(thresholds) - 2 * ROUND), _POWERS[SHARP:])
+    powers = np.append(np.zeros(len(thresholds) - 3 * ROUND), _POWERS[SHARP:])
     stops = _followed(deformation, thresholds, powers, 0.0 * powers)[rows] / thresholds
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
     size = np.sqrt(np.mean(deformation**2)) + 1e-300
@@ -263,8 +264,9 @@ def force_drift(
         return float(values[0]), float(largest * errors[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
-    values, _, _ = _beside_law(cosines, law, y)
-    error = np.sqrt(np.mean((modes * values)[_SLOW:] ** 2))
+    sharp = np.delete(law, np.s_[-3 * ROUND - _CORNERS - 2 : -_CORNERS - 2], axis=1)
+    values, others = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
+    error = np.hypot(np.sqrt(np.mean((modes * values)[_SLOW:] ** 2)), values[0] - others[0])
     return float(-2.0 * values[0]), float(2.0 * error), 0.5 - 0.5 * np.cos(np.pi * time / count)
 
 
@@ -293,7 +295,8 @@ def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, 
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
     regressors, q = np.hstack([drift, law]), drift.shape[1]
     normal = regressors.T @ regressors
-    normal[q:, q:] += _prior(len(y), law.shape[1], _STOPS + 2 * ROUND + _EVEN - 1, _CORNERS, _DRIFT_SMOOTH)
+    stops = law.shape[1] - _CORNERS - 2
+    normal[q:, q:] += _prior(len(y), law.shape[1], stops, _CORNERS, _DRIFT_SMOOTH)
     inverse = np.linalg.inv(normal)
     values = inverse @ (regressors.T @ y)
     left = y - regressors @ values
@@ -314,8 +317,11 @@ def _stop(z: float, change: float, limit: float, power: float) -> float:
     share, moved = abs(z) / limit, (abs(change) - back) / limit
     if power == 1.0:
         return sign * limit * (1.0 - (1.0 - share) * math.exp(-moved))
-    moved = smooth_sign(moved)
-    return sign * limit * (share + moved) / (1.0 + share * moved)
+    if power == 2.0:
+        moved = smooth_sign(moved)
+        return sign * limit * (share + moved) / (1.0 + share * moved)
+    moved += share / math.sqrt(math.sqrt(max(1.0 - share**4, 1e-12)))
+    return sign * limit * moved / math.sqrt(math.sqrt(1.0 + moved**4))
 
 
 @compiled
