@@ -22,7 +22,6 @@ from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis import channel_estimates
 from seft_ros.analysis.specimen_law import DESCRIBED, fine_law
-from seft_ros.reference_force.restoring_model import stop_operators
 from seft_ros.reference_force.yield_corner import STANDS_OUT
 
 INERTIA_BAND = 8.0
@@ -38,9 +37,6 @@ MAX_WINDOWS = 1500
 WEIGHT_POWER = 1.5
 """Power of 1/variance that is a window's weight: more than the 1 of equal laws with other noise,
 because a large residual means a law that is not described, which is a bias and not a noise."""
-SLIDERS, CURVE_SPLINES = 36, 24
-"""Stop operators and B-splines of the law of a spring: one for each factor 1.2 of deformation, so
-that a corner between two of them is no mass."""
 MEMORY = 12
 """Windows, half of each overlapping the next, over which residuals may be correlated."""
 WIDEN = 1.5
@@ -87,16 +83,13 @@ def inertia(
     band, noise = (0.0, top), channel_estimates.noise_of(x)
     by_spring, n = x @ deformation.T, x.shape[1]
     noises = channel_estimates.noise_of(by_spring)
-    laws = [law_regressors(e, s) for e, s in zip(by_spring.T, noises, strict=True)]
-    moved = channel_estimates.with_motion(states, noise, channel_estimates.noise_of(a), dt)
-    fine = [
-        fine_law(*one) for one in zip((moved[:, 0] @ deformation.T).T, noises, strict=True)
-    ]
+    moved = channel_estimates.with_motion(states, noise, channel_estimates.noise_of(a), dt)[:, 0]
+    laws = [fine_law(*one) for one in zip((moved @ deformation.T).T, noises, strict=True)]
     share = np.eye(n)
     if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
         share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
     else:
-        laws, fine = [np.hstack(laws)] * n, [np.hstack(fine)] * n
+        laws = [np.hstack(laws)] * n
 
     def filtered(y: Floats, *orders: int) -> list[Floats]:
         return [one[::every] for one in channel_estimates.derivatives(y, orders, band, dt, half)]
@@ -104,10 +97,10 @@ def inertia(
     own = [*filtered(f, 0), *filtered(a @ mass.T, 0, 1), *filtered(v @ mass.T, 1, 2)]
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
-    laws, fine = ([np.hstack([*filtered(law, 0), rates]) for law in each] for each in (laws, fine))
+    laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
     size = max(n + 3, round(WINDOWS[0] / (frequency * dt * every)))
     take = np.arange(len(travel) // size * size).reshape(-1, size)
-    whole, left = _fit([y[take] for y in own], seen[take], *(y[take] for y in fine), share=share)
+    whole, left = _fit([y[take] for y in own], seen[take], *(y[take] for y in laws), share=share)
     white = channel_estimates.noise_of((f - a @ mass.T) @ share.T) * np.sqrt(2.0 * top * dt)
     is_described = len(take) > FEWEST_WINDOWS and (left <= DESCRIBED * white).all()
     found = []
@@ -131,24 +124,6 @@ def inertia(
         return None
     masses = factor, np.maximum(error[0], MIN_ERROR * factor)
     return channel_estimates.Relation(*masses, -value[1] / factor, error[1] / factor)
-
-
-def law_regressors(e: Floats, noise: float) -> Floats:
-    """Regressors of the force of a spring of any law: stop operators and a curve.
-
-    ``e`` is its deformation, shape (N,), and ``noise`` its RMS noise; the result has shape
-    (N, SLIDERS + CURVE_SPLINES - 2).
-    """
-    low, high, most = e.min(), e.max(), np.abs(e).max()
-    if not high > low:
-        return np.zeros((len(e), SLIDERS + CURVE_SPLINES - 2))
-    thresholds = np.geomspace(max(8 * noise, most / 500), 0.7 * most, SLIDERS)
-    stops = stop_operators(e, thresholds)
-    # uniform cubic B-splines, but the first and the last
-    place = (e - low) / (high - low) * (CURVE_SPLINES - 3)
-    t = np.abs(place[:, np.newaxis] - np.arange(CURVE_SPLINES - 2))
-    near, far = 2 / 3 - t**2 + t**3 / 2, (2.0 - t) ** 3 / 6
-    return np.hstack([stops, np.where(t < 1, near, np.where(t < 2, far, 0.0))])
 
 
 def moving_windows(travel: Floats, size: int, least: Floats) -> npt.NDArray[np.intp]:
