@@ -21,7 +21,7 @@ import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis import channel_estimates
-from seft_ros.analysis.specimen_law import DESCRIBED, fine_law
+from seft_ros.analysis.specimen_law import fine_law
 from seft_ros.reference_force.yield_corner import STANDS_OUT
 
 INERTIA_BAND = 8.0
@@ -42,9 +42,6 @@ MEMORY = 12
 WIDEN = 1.5
 """Factor on the standard error of Eq. (1), because no law is described exactly: with it nine kinds
 of specimen are within two standard errors in 93 of 100 tests (docs/metrics.md)."""
-WIDEN_WHOLE = 2.0
-"""The same, of the whole test, beside: a law of so many parameters takes some of the mass, and no
-other length shows how much."""
 MIN_ERROR = 1.5e-3
 """Least standard error of a mass, relative: the samples' timing and the converter's steps."""
 ALIKE_SPRINGS = 1e6
@@ -98,11 +95,6 @@ def inertia(
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
     laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
-    size = max(n + 3, round(WINDOWS[0] / (frequency * dt * every)))
-    take = np.arange(len(travel) // size * size).reshape(-1, size)
-    whole, left = _fit([y[take] for y in own], seen[take], *(y[take] for y in laws), share=share)
-    white = channel_estimates.noise_of((f - a @ mass.T) @ share.T) * np.sqrt(2.0 * top * dt)
-    is_described = len(take) > FEWEST_WINDOWS and (left <= DESCRIBED * white).all()
     found = []
     for length in WINDOWS:
         size = max(n + 3, round(length / (frequency * dt * every)))
@@ -110,9 +102,7 @@ def inertia(
         if len(take) < FEWEST_WINDOWS:
             continue
         projected = without_line([*own, seen, *laws], travel, take)
-        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share)[0])
-    if is_described:
-        found = [whole * [[1.0], [WIDEN_WHOLE]]] * 2
+        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
     if len(found) < 2:
         return None
     each = np.array(found).reshape(-1, 2, 2, n)  # length, (value, error), (m, -m tau), axis
@@ -161,9 +151,7 @@ def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.int
 
 
 def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple[Floats, Floats]:
-    """Fit Eq. (1) of all springs together; give (m, -m tau), standard errors, and what is left.
-
-    Shapes (2, 2n), and RMS of each equation, (n,).
+    """Fit Eq. (1) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
 
     Parameters
     ----------
@@ -192,7 +180,7 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
     axes, its = slice(2 * n), slice(2 * n, None)  # columns of every equation, and of its own law
     try:
         for _ in range(_ROUNDS):
-            normal, right, solved, rms = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), [], np.zeros(n)
+            normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
             for target, regressors, z, weights in equations:
                 weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
                 sums = weighted.T @ regressors.reshape(weighted.shape)
@@ -206,17 +194,15 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
                 right += answer[axes] - onto.T @ answer[its]
                 solved.append((law_of, onto))
             found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
-            for i, (equation, (law_of, onto)) in enumerate(zip(equations, solved, strict=True)):
+            for equation, (law_of, onto) in zip(equations, solved, strict=True):
                 target, regressors, z, weights = equation
                 left = target - regressors @ np.append(found, law_of @ np.append(1.0, -found))
                 moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
                 scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
                 variance = (left**2).mean(axis=1)
-                rms[i] = np.sqrt(variance.mean())
                 least = max(float(np.quantile(variance, 0.1)), 1e-300)
                 weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
         scores = np.linalg.solve(normal, scores.T).T
     except np.linalg.LinAlgError:
-        return np.full((2, 2 * n), np.nan), np.full(n, np.nan)
-    error = np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))
-    return np.array([found, error]), rms
+        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
+    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))

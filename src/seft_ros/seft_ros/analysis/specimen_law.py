@@ -31,7 +31,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT
-from seft_plant_sim.compiled import bounded, compiled, smooth_sign
+from seft_plant_sim.compiled import bounded, compiled
 from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
@@ -57,7 +57,7 @@ MODES = 10
 _SLOW = 3  # of them, in which a drift may be
 _STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
-DESCRIBED = 1.2  # what the law leaves, over the noise
+_DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
 
 
@@ -260,7 +260,7 @@ def force_drift(
     shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
     values, errors, left = _beside_law(shape[here, np.newaxis], law, y)
     largest = np.sqrt(2.0 * np.log(2.0 * len(y)))  # of a step and a ramp at each row
-    if np.sqrt(np.mean(left**2)) <= DESCRIBED * noise_of(force[:, np.newaxis])[0]:
+    if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         return float(values[0]), float(largest * errors[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
@@ -312,16 +312,11 @@ def _stop(z: float, change: float, limit: float, power: float) -> float:
     sign = math.copysign(1.0, change)
     back = min(max(-z * sign, 0.0), abs(change))
     z += sign * back
-    if back > 0.0 and z * sign < 0.0:
+    if back == abs(change):
         return z
-    share, moved = abs(z) / limit, (abs(change) - back) / limit
-    if power == 1.0:
-        return sign * limit * (1.0 - (1.0 - share) * math.exp(-moved))
-    if power == 2.0:
-        moved = smooth_sign(moved)
-        return sign * limit * (share + moved) / (1.0 + share * moved)
-    moved += share / math.sqrt(math.sqrt(max(1.0 - share**4, 1e-12)))
-    return sign * limit * moved / math.sqrt(math.sqrt(1.0 + moved**4))
+    share, inverse = abs(z) / limit, 1.0 / power
+    u = (abs(change) - back) / limit + share / max(1.0 - share**power, 1e-12) ** inverse
+    return sign * limit * u / (1.0 + u**power) ** inverse
 
 
 @compiled
