@@ -52,7 +52,7 @@ def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, how):
     slowly, ramp = 0.5 - 0.5 * np.cos(np.pi * k / COUNT), np.maximum(k - 2439, 0) / (COUNT - 2439)
     shape = {"slowly": slowly, "at once": k >= 2439, "from then on": ramp}[how]
     force = law + 300.0 * v + moved * shape + noise(4.0, 2)
-    found, error, fitted = force_drift(x + noise(5e-6, 3), v, force)
+    found, error, fitted = force_drift(x + noise(5e-6, 3), v, force, 2e-5)
     assert (abs(found) > SIGNIFICANT * error) is (moved > 0.0)
     assert found * moved >= 0.0
     if how != "slowly":

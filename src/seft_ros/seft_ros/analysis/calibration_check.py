@@ -400,7 +400,7 @@ def _drifts(
     forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
     e, rates = effect.deformation, v @ springs.T
     noise = channel_estimates.noise_of(x @ springs.T)
-    fits = [force_drift(e[:, j], noise[j], rates[:, j], forces[:, j]) for j in range(n)]
+    fits = [force_drift(e[:, j], rates[:, j], forces[:, j], noise[j]) for j in range(n)]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
     of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)

@@ -12,6 +12,14 @@ with the mass M of the whole structure, C and K of its computed part and the dam
 operators and curve. Unlike a linear structure it yields, slips and closes gaps where the specimen
 did, and a small difference grows where that of the specimen would.
 
+A stop operator z with the bound y unloads as e does, and away from 0 it has a corner, or is round
+with n = 1, 2 or 4 (Menegotto & Pinto 1973); of these the law of Bouc and Wen is made, too::
+
+    z / y = u / (1 + u^n)^(1/n),  u' = |e'| / y                                            (2)
+
+The deformation is that of displacement and acceleration together, which has a quarter of the noise
+(`seft_ros.analysis.channel_estimates`).
+
 The zero of the force may move while a test runs. It is in the restoring force r = f - M a::
 
     r = law(x) + b g(t)                                                                    (1)
@@ -242,7 +250,7 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
 
 
 def force_drift(
-    deformation: Floats, noise: float, rate: Floats, force: Floats
+    deformation: Floats, rate: Floats, force: Floats, noise: float
 ) -> tuple[float, float, Floats]:
     """Fit the zero of a spring's force, Eq. (1); give b, N, its standard error, and g, (N,).
 
@@ -250,6 +258,8 @@ def force_drift(
     ----------
     deformation, rate, force : ndarray
         Of the spring, shape (N,).
+    noise : float
+        See `fine_law`.
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
     law, y = fine_law(deformation, noise, here), force[here]
