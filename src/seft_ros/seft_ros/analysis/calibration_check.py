@@ -7,7 +7,7 @@ The estimates are those of `seft_ros.analysis.channel_estimates` and
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from seft_msgs_py.arrays import Floats
@@ -369,7 +369,8 @@ def _at_most(
     for channel, of, scale, lag in others:
         if channel == "acceleration":
             one, error = (y.diagonal() for y in (of.scale, of.scale_error))
-            both = _combined(Relation(1.0 + one - scale, error, of.lag - lag, of.lag_error), known)
+            here = Relation(1.0 + one - scale, error, of.lag - lag, of.lag_error)
+            both = _combined(here, known) or here
             shown = of.scale.copy()
             np.fill_diagonal(shown, both.scale)
             effects += (effect.of_scale(shown), 0.0), (effect.of_lag(both.lag), 0.0)
@@ -442,10 +443,6 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
 
 
-@overload
-def _combined(own: Relation, known: Relation | None) -> Relation: ...
-@overload
-def _combined(own: Relation | None, known: Relation | None) -> Relation | None: ...
 def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
     """Combine two estimates by their standard errors.
 

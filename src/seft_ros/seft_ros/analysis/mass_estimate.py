@@ -8,11 +8,11 @@ with the known mass matrix M, a factor m_i on it and the lag tau_i of the force
 behind the acceleration. The restoring force r of any specimen is, in a short window, a constant and
 a line in x; what that leaves is taken by stop operators, a curve and dampers of the springs'
 deformations (see `seft_ros.analysis.specimen_law`). Noise of the acceleration would make the
-estimate too small; the derivative of the velocity, which has other noise, serves as an instrument (Reiersol
-1945). So do the velocities for the dampers' rates, which are derived from the displacement: noise
-of one channel in both would be taken for mass, 3 % on three storeys. Windows in which the specimen
-is not described so well weigh less. Standard errors are those of correlated residuals (Newey & West
-1987).
+estimate too small; the derivative of the velocity, which has other noise, serves as an instrument
+(Reiersol 1945). So do the velocities for the dampers' rates, which are derived from the
+displacement: noise of one channel in both would be taken for mass, 3 % on three storeys. Windows in
+which the specimen is not described so well weigh less. Standard errors are those of correlated
+residuals (Newey & West 1987).
 """
 
 import numpy as np
