@@ -248,8 +248,8 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         own = inertia(samples, effect.mass, effect.springs, dt, frequency)
-        known = _known_inertia(experiment, effect.mass)
-        own = _combined(own, known)
+        before = _known_inertia(experiment, effect.mass)
+        own = _combined(own, before)
         relations = list(_relations(experiment, samples, frequency))
         halves = _halves(samples)
         in_parts += _drifts(effect, samples, dt, halves, axes)
@@ -258,7 +258,7 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
             if np.isfinite(own.lag_error).all():
                 means["unsure_lag"] = effect.of_force_lag(SIGNIFICANT * own.lag_error)
             moved = max((one.effect for one in in_parts), default=0.0)
-            means["at_most"] = _at_most(effect, own, known, relations, untrue, moved)
+            means["at_most"] = _at_most(effect, own, before, relations, untrue, moved)
         if identified.any() and not untrue.any():
             means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:

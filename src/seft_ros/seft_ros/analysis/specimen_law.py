@@ -240,7 +240,7 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
     rows : slice
         Those that are wanted.
     """
-    (thresholds,) = _thresholds(deformation[:, np.newaxis], noise, _STOPS, 1.0)
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], np.array([noise]), _STOPS, 1.0)
     thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
     powers = np.append(np.zeros(len(thresholds) - 3 * ROUND), _POWERS[SHARP:])
     stops = _followed(deformation, thresholds, powers, 0.0 * powers)[rows] / thresholds
