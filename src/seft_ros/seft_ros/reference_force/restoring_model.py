@@ -62,7 +62,7 @@ from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 from seft_ros.reference_force.yield_corner import (
     FORETELLS,
     HOLDS,
-    LATE,
+    MENDED,
     SHIFT,
     STAGE,
     CornerParameters,
@@ -447,7 +447,7 @@ def follow_law(
         y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER], remembered)
         state.stops[j, CORNER] = phi[laws.place]
         corner.slider[j, SHIFT] = phi[laws.place] - z
-    return corner.slider[j, LATE] if corner.slider[j, STAGE] == FORETELLS else 0.0
+    return corner.slider[j, MENDED] if corner.slider[j, STAGE] == FORETELLS else 0.0
 
 
 @compiled
@@ -523,7 +523,8 @@ def follow_specimen(
         copy(q, phi, last)
         by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
         sharpen(q, taken, left, gain, p)
-        negative = min(found[damper], 0.0) / p[damper, damper]
+        unsure = p[damper, damper]
+        negative = min(found[damper], 0.0) / unsure if unsure > 0.0 else 0.0
         for i in range(q):
             found[i] -= p[i, damper] * negative
             state.values[j, i] = found[i] + weight * (assumed[i] - found[i])

@@ -35,10 +35,10 @@ underestimates, by the square of the noise over the motion (0.25 %)."""
 HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT, LATE = range(10)
+_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT, MENDED = range(10)
 """Columns of ``slider``: d; c, N; recent innovations, N, and their variance, N^2; motion of
-foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; and how
-far the last sample has shifted z, m, and the past impulse, over a period, N."""
+foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; how far
+the last sample has shifted z, m; and what it has mended of the past impulse, over a period, N."""
 
 
 class CornerParameters(NamedTuple):
@@ -220,7 +220,7 @@ def follow_corner(
     past, per_variance = state.past[j], 1.0 / (p.noise[j] + dot(5, factors, gain))
     share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
     of_past = dot(5, past, factors)
-    slider[LATE] = of_past * share
+    slider[MENDED] = of_past * share
     for i in range(5):
         before = past[i] - of_past * gain[i] * per_variance
         past[i] = remembered * before + gain[i] * p.noise[j] * per_variance
