@@ -85,16 +85,6 @@ def test_a_batch_gives_what_its_messages_give_one_by_one(batch):
     assert_as_each(*batch)
 
 
-@given(st.sampled_from((*LOOP_TOPICS, TARGET)), st.sampled_from([500.0, 1200.0, 0.1 + 0.2]))
-def test_many_are_encoded_as_each_is(topic, rate):
-    codec = TrajectoryCodec(topic, NAMES, Timebase.from_rate(rate))
-    steps = np.array([0, 1, 7, 10**8])
-    values = np.random.default_rng(0).normal(size=(4, len(topic.quantities), len(NAMES)))
-    rows = codec.encode_batch(steps, values)
-    assert [*map(bytes, rows)] == [*map(codec.encode, steps.tolist(), values)]
-    assert not len(codec.encode_batch(steps[:0], values[:0]))
-
-
 def test_stamps_off_the_grid_and_before_the_start_are_refused():
     codec = TrajectoryCodec(RIG_STATE, ("x",), TIMEBASE)
     raws = [bytearray(codec.encode(step, np.zeros((6, 1)))) for step in range(6)]

@@ -135,6 +135,17 @@ def test_several_wrong_values_of_one_sample_are_replaced(channels):
     assert (np.abs(judged[AT:] - right[AT:])[:, :, 0] < 2.0 * NEAR).all()
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("scales", [(0.12, -1.0), (0.12, 2.6), (-1.0, -1.0)])
+def test_the_acceleration_of_an_amplifier_that_fails_stays_known(scales, axis):
+    samples, right, flow = motion()
+    samples[AT:, [A, F], axis] *= scales
+    judged, replaced, _ = judged_of(samples, flow)
+    assert replaced[AT : AT + REVISED, [A, F], axis].all()
+    off = judged[AT + 1 : AT + 7, A, axis] - right[AT + 1 : AT + 7, A, axis]
+    assert np.abs(off).max() < NEAR[A]
+
+
 @pytest.mark.parametrize("row", range(4))
 @pytest.mark.parametrize("step", [0, 1, 2])
 def test_the_first_samples_are_judged_against_rest(row, step):

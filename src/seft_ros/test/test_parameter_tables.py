@@ -1,12 +1,10 @@
 """The tables of all nodes together: what is taken from where, and that none contradicts itself."""
 
-import re
 from pathlib import Path
 
 import pytest
 from seft_msgs_py.config.experiment import Experiment, parse_override, split_ros_arguments
 from seft_msgs_py.config.facts import FACTS, SETTINGS, fact_of, place_of
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.node.host import REALTIME_PARAMETERS
 from seft_msgs_py.wire.topics import NODES
 from seft_plant_sim.rig_parameters import RIG_TABLE as RIG
@@ -69,24 +67,6 @@ def test_what_is_truly_so_is_what_is_known_unless_it_is_given():
             assert both[name] in (other, [other])
     for unknown in ((), ("actuator.valve_frequency:=0.0",)):
         assert load(*SPECIMEN, *unknown)["rig"]["simulated.actuator.valve_frequency"] == 70.0
-
-
-@pytest.mark.parametrize(
-    ("word", "loaded"),
-    [
-        (
-            "rig:specimen.mass:=50",
-            "specimen.mass is set once, under /**; what the simulated rig truly has is rig: "
-            "simulated.specimen.mass",
-        ),
-        ("force_controller:actuator.flow_gain:=0.04", "actuator.flow_gain is set once, under /**"),
-        ("supervisor:limits.force:=9", "limits.force is set once, under /**"),
-        ("force_controller:mass_ratio:=1", "mass_ratio is set once, under reference_force"),
-    ],
-)
-def test_a_fact_or_setting_elsewhere_is_reported_its_place(word, loaded):
-    with pytest.raises(InputError, match=re.escape(loaded)):
-        load(*SPECIMEN, word)
 
 
 def test_the_loop_counts_the_lag_of_the_latest_channel():

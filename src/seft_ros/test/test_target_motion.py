@@ -99,6 +99,20 @@ def test_target_starts_where_the_specimen_is():
     assert points[0, 0, 0] == 2e-3
 
 
+def test_stop_operators_turn_where_the_specimen_does_between_its_samples():
+    _, compensation = target("rate:=250.0")
+    fine = np.arange(0.0, 0.6, 2e-5)
+    y = compensation.state.model.thresholds[0, 8]
+    x, v = 5.0 * y * np.sin(37.0 * fine), 185.0 * y * np.cos(37.0 * fine)
+    stops = models.stop_operators(x, np.array([y]))[:, 0]
+    off = []
+    for k in range(0, len(fine), 200):
+        sample = np.array([[x[k]], [v[k]], [-(37.0**2) * x[k]], [0.0]])
+        compensation.step(np.zeros((1 + compensation.preview, 1)), sample)
+        off.append(compensation.state.model.stops[0, 8] - stops[k])
+    assert np.abs(off).max() < 0.01 * y
+
+
 def test_target_comes_to_rest_as_its_pace_goes_to_zero():
     tested, method = target()
     ground = motion_of(tested).known
@@ -199,6 +213,14 @@ def test_an_offset_that_is_less_certain_than_the_sum_does_not_overshoot(share):
     assert 0.0 <= abs(state.found[0] @ state.regressors[0] - expected) < 10.0
 
 
+def test_a_spring_gives_no_energy():
+    t = 0.002 * np.arange(1500)
+    x, v = 0.004 * np.sin(30.0 * t), 0.12 * np.cos(30.0 * t)
+    _, state, left = followed(K * x - 900.0 * v, x, v, damping=100.0)
+    assert 0.0 <= state.found[0, 2] < 100.0
+    assert np.abs(left[0, -500:]).max() < 30.0  # the offset takes what it would have given
+
+
 def test_noise_at_rest_does_not_soften_what_sticks():
     """After slips of 2 mm it sticks for 16 s, while the displacement has noise."""
     t, sticks, rng = 0.002 * np.arange(9000), 9.5e6, np.random.default_rng(5)
@@ -233,6 +255,15 @@ LAWS: dict[str, tuple[tuple[str, ...], float]] = {
 def test_test_is_right_whatever_the_specimen_does(law):
     words, most = LAWS[law]
     assert error(*(f"rig:simulated.specimen.{word}" for word in words)) < most
+
+
+def test_storeys_that_yield_keep_their_impulses():
+    """Their laws are learnt from few slips, and later samples correct what they were wrong by."""
+    words = "kind:=bilinear", "yield_displacement:=0.003"
+    frame = "specimen.springs:=[1.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, -1.0, 1.0]"
+    specimen = (f"rig:simulated.specimen.{word}" for word in words)
+    force = "ground_motion:peak_force:=200.0"
+    assert error(frame, force, *specimen, config="three_storey_frame") < 0.9
 
 
 TRUE = [("rig", *item) for item in truth(load()["rig"]).items()]

@@ -160,9 +160,7 @@ class DdsTransport:
         self._held.append(process.single_instance(domain, full_name))
         return DdsEndpoint(node)
 
-    def wait_set(
-        self, subscriptions: Sequence[DdsSubscription]
-    ) -> rclpy_interface.RclWaitSet[DdsSubscription]:
+    def wait_set(self, subscriptions: Sequence[DdsSubscription]) -> rclpy_interface.RclWaitSet:
         """Make what waits for some subscriptions of this transport."""
         return rclpy_interface.RclWaitSet(rclpy.get_default_context(), subscriptions)
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 from seft_msgs_py.config.parameter_table import Parameter, Section, Table
 from seft_msgs_py.errors import InputError
@@ -179,23 +179,15 @@ def raw_subscription(
     )
 
 
-class HasHandle(Protocol):
-    """A subscription of `raw_subscription`, or an object that holds its handle."""
+class RclWaitSet:
+    """Waits until one of some subscriptions, which have a handle of rclpy, has a message."""
 
-    @property
-    def handle(self) -> Any:
-        """Handle of rclpy."""
-
-
-class RclWaitSet[S: HasHandle]:
-    """Waits until one of some subscriptions has a message."""
-
-    def __init__(self, context: Context, subscriptions: Sequence[S]) -> None:
+    def __init__(self, context: Context, subscriptions: Sequence[Any]) -> None:
         self._subscriptions = {each.handle.pointer: each for each in subscriptions}
         self._handles = [each.handle for each in subscriptions]
         self._wait_set = _rclpy.WaitSet(len(self._handles), 0, 0, 0, 0, 0, context.handle)
 
-    def wait(self, timeout: float) -> list[S]:
+    def wait(self, timeout: float) -> list[Any]:
         """Wait at most ``timeout`` seconds; return the subscriptions that have messages."""
         wait_set = self._wait_set
         wait_set.clear_entities()

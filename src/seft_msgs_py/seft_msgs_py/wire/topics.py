@@ -60,18 +60,8 @@ class Timebase:
 
     def stamp_ns(self, step: int) -> int:
         """Experiment time of a step, rounded to a nanosecond, half to even."""
-        return int(self._stamp(step))
-
-    def stamps_ns(self, steps: Ints) -> Ints:
-        """Give the experiment time of each step, as `stamp_ns` does."""
         period, per = self._period
-        if 2 * (int(np.abs(steps).max(initial=1)) * period + per) >= 2**63:
-            steps = steps.astype(object)  # too much for int64: as Python's integers
-        return np.asarray(self._stamp(steps), dtype=np.int64)
-
-    def _stamp(self, step: Any) -> Any:
-        period, per = self._period
-        whole, rest = step * period // per, step * period % per
+        whole, rest = divmod(step * period, per)
         return whole + (2 * rest + (whole & 1) > per)
 
     def step(self, stamp_ns: int) -> int:

@@ -162,17 +162,6 @@ class TrajectoryCodec:
         """
         return self._encode(self._single, step, values)
 
-    def encode_batch(self, steps: Ints, values: Floats) -> _Bytes:
-        """Make the messages of M samples, shape (M, q, n), as `encode` does each; (M, length)."""
-        layout = self._single
-        self._check_finite([], values)
-        stamps = np.divmod(self.timebase.stamps_ns(steps), topics.NANOSECONDS_PER_SECOND)
-        rows = np.tile(np.frombuffer(layout.template, np.uint8), (len(steps), 1))
-        rows[:, 4:12] = np.stack(stamps, axis=1).astype("<u4").view(np.uint8)
-        words = rows[:, 4 : 4 + (rows.shape[1] - 4) // 8 * 8].view("<f8")
-        words[:, layout.values[0]] = values
-        return rows
-
     def encode_points(self, step: int, values: Floats) -> bytes:
         """Make the message of a sample and its known future, one point a step, see `encode`.
 

@@ -136,7 +136,7 @@ class ComputedModel:
         """Begin a step; the model computes while the loop continues."""
         self._in_flight = True
         own = self.rows @ displacement, self.rows @ velocity, ground[list(self.places)]
-        self._process.begin("step", t, np.array(own).tobytes())
+        self._process.begin("step", t, np.array(own))
 
     def answer(self) -> ModelState:
         """Wait for the end of the step; the result is that of `step`."""
@@ -158,7 +158,7 @@ class ComputedModel:
             self._request("start", PROBE_PERIOD, self._names)
             motions = ((rest, rest), (displacement, velocity), (displacement, velocity))
             steps = [
-                self._request("step", k * PROBE_PERIOD, np.array([x, v, rest]).tobytes())
+                self._request("step", k * PROBE_PERIOD, np.array([x, v, rest]))
                 for k, (x, v) in enumerate(motions)
             ]
             return np.array([step.force for step in steps])

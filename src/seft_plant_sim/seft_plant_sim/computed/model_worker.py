@@ -87,17 +87,9 @@ class ModelState(NamedTuple):
     damping: Floats | None
     responses: dict[str, float]
 
-    def packed(self) -> tuple[Any, ...]:
-        """Give it as values that marshal takes; `unpacked` reads them."""
-        stiffness, damping = (
-            None if matrix is None else matrix.tobytes()
-            for matrix in (self.stiffness, self.damping)
-        )
-        return self.force.tobytes(), stiffness, damping, self.responses
-
     @classmethod
     def unpacked(cls, values: tuple[Any, ...]) -> "ModelState":
-        """Read what `packed` gives."""
+        """Read what a `ModelWorker` gives."""
         packed, *tangents, responses = values
         force = np.frombuffer(packed)
         stiffness, damping = (
@@ -134,7 +126,7 @@ class ModelWorker:
         return found, {name: line for name, line in lines if line}
 
     def start(self, dt: float, names: Sequence[str]) -> tuple[Any, ...]:
-        """Begin a test; give a packed `ModelState`."""
+        """Begin a test; give the values of a `ModelState`, whose arrays marshal writes as bytes."""
         self._own.start(dt, names)
         return self._state(np.zeros(len(names)))
 
@@ -162,7 +154,7 @@ class ModelWorker:
     def _state(self, force: Floats) -> tuple[Any, ...]:
         size = len(force)
         stiffness, damping = (self._tangent(name, size) for name in ("stiffness", "damping"))
-        return ModelState(force, stiffness, damping, self._responses()).packed()
+        return force, stiffness, damping, self._responses()
 
     def _tangent(self, name: str, size: int) -> Floats | None:
         """Stiffness or damping that the model gives, shape (m, m); None if it gives none."""
@@ -222,7 +214,7 @@ def _numbers(value: Any) -> Floats | None:
     """Give real numbers as an array; None if the value holds anything else."""
     try:
         found = np.asarray(value)
-        return None if found.dtype.kind in "cSUmM" else found.astype(np.float64)
+        return None if found.dtype.kind in "cSUmM" else found.astype(np.float64, order="C")
     except (TypeError, ValueError):
         return None
 

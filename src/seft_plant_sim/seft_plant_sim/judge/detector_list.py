@@ -41,37 +41,23 @@ class Detector:
 _SUMS = "disagree on axis {axis}: they differ by {seen} over the last"
 _OIL = "measured displacement and force, and the actuator's motion by its commands,"
 _SAME = "measured {} on axis {{axis}} has repeated one value for {{seen}}"
+_WORK = "the measured force falls as the specimen is deformed further: work of {seen} against it"
+_LESS = "the specimen carries less where it is deformed farther: work of {seen} is lost"
+_JUMPS = "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}"
 _WRONG = "measured {} on axis {{axis}} contradicts the other channels: {{seen}} within 50 ms"
 DETECTORS = (
     Detector("displacement_velocity", f"measured displacement and velocity {_SUMS} 50 ms", "m"),
     Detector("velocity_acceleration", f"measured velocity and acceleration {_SUMS} 50 ms", "m/s"),
     Detector("oil_balance", f"{_OIL} {_SUMS} 0.2 s", "m"),
-    Detector(
-        "second_order_work",
-        "the measured force falls as the specimen is deformed further: work of {seen} against it",
-        "N m",
-    ),
-    Detector(
-        "strength",
-        "the specimen carries less where it is deformed farther: work of {seen} is lost",
-        "N m",
-    ),
-    Detector(
-        "force_jump",
-        "the specimen's force by measured force and acceleration on axis {axis} jumps by {seen}",
-        "N",
-        0.0,
-    ),
+    Detector("second_order_work", _WORK, "N m"),
+    Detector("strength", _LESS, "N m"),
+    Detector("force_jump", _JUMPS, "N", 0.0),
     *(Detector(f"{name}_frozen", _SAME.format(name), "samples", None) for name in CHANNELS),
     *(Detector(f"{name}_wrong", _WRONG.format(name), "samples", None) for name in CHANNELS),
 )
 """Those of a rig, in the order of the rows of their arrays."""
-TRACKING = Detector(
-    "tracking",
-    "measured displacement on axis {axis} is {seen} away from its target",
-    "m",
-    LONG_LASTS,
-)
+_AWAY = "measured displacement on axis {axis} is {seen} away from its target"
+TRACKING = Detector("tracking", _AWAY, "m", LONG_LASTS)
 """That of a force controller, which knows the target."""
 
 MODEL_BASED = ("oil_balance", "second_order_work", "strength", "force_jump")

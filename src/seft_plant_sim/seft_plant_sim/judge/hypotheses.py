@@ -15,7 +15,7 @@ import math
 from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.judge import OIL_EVENT, REVISED, Record
+from seft_plant_sim.judge.judge import OIL_EVENT, Record
 
 RARE = math.log(1e-6)
 """Chance that a sample has a wrong channel: of a false alarm."""
@@ -45,7 +45,7 @@ ROUNDING = 1e-14
 """Least part of a variance that the others may leave: less is rounding. All channels wrong, without
 a known range of any, leave none."""
 
-BREAKS, NOTICEABLE = math.log(1e-2), 9.0
+BREAKS, NOTICEABLE = math.log(1e-5), 9.0
 """Part of such events by which a specimen breaks, and the square of a value over its variance from
 which on its sign is known."""
 
@@ -200,10 +200,7 @@ def members(which: int) -> int:
 @compiled
 def wrong_before(b: Record) -> int:
     """Give the channels that were wrong in the last samples of a branch."""
-    wrong = 0
-    for age in range(REVISED):
-        wrong |= b.wrong[age]
-    return wrong & ANY_CHANNEL
+    return (b.wrong[0] | b.wrong[1] | b.wrong[2]) & ANY_CHANNEL
 
 
 @compiled
@@ -245,15 +242,23 @@ def weigh_end(known: Record, c: Record, b: Record, row: int, at: int) -> tuple[f
 
 @compiled
 def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
-    """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show."""
+    """Prior of the amplitudes of a set: a wrong value may be any that the sensor can show.
+
+    Where several channels of an axis fail together, as by their amplifier, errors go on.
+    """
     which, b, value = c.which[at], axis.alive[c.branch[at]], 0.0
+    together = b.wrong[0] & which & ANY_CHANNEL
     for row in range(4):
         if not which >> row & 1:
             continue
+        density = 0.5 * math.log(known.precision[row])
         if c.forced >> row + 4 & 1:
-            value += HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
-        else:
-            value += 0.5 * math.log(known.precision[row])
+            density = HALF_LOG_TURN + weigh_end(known, c, b, row, at)[0]
+        elif together >> row & 1 and members(together) > 1 and axis.asked_jump == 0.0:
+            change, noise = c.amplitude[at, row] - b.error[row], c.noise[row] + b.variance[0, row]
+            like_last = HALF_LOG_TURN + log_size(change, noise, known.orders, math.inf)
+            density = max(density, like_last)
+        value += density
     if which & EVENT:
         jumps, size = b.event, c.amplitude[at, 5]
         recent = max(axis.lately, abs(jumps[0]), abs(jumps[1]), abs(jumps[2]))

@@ -57,6 +57,7 @@ BRANCH = np.dtype(
         ("blur", "f8", (2,)),  # variance of r, N^2
         ("settling", "f8"),  # variance of r that an event has left, N^2
         ("event", "f8", (3,)),  # jumps of r at the last samples, N
+        ("error", "f8", (4,)),  # of channels that were wrong at the last sample
         ("wrong", "i8", (1 + REVISED,)),  # sets at the last samples
     ]
 )

@@ -380,13 +380,21 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
         value, variance = c.seen[row], c.noise[row]
         if which >> row & 1:
             end, is_end = known.range[row], c.forced >> row + 4 & 1
-            value -= c.amplitude[at, row]
+            to.error[row] = c.amplitude[at, row]
+            value -= to.error[row]
             variance = max(c.spread[at, row], variance)
             if is_end and hypotheses.weigh_end(known, c, b, row, at)[1]:
                 value = max(value, end) if c.seen[row] > 0.0 else min(value, -end)
                 to.wrong[0] &= ~(1 << row)
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
+    if to.wrong[0] & FORCES == FORCES:  # of accelerations that (2) alone tells, errors alternate
+        last, own = b.value[0, A], to.variance[0, A]
+        part = own / (own + b.variance[0, A] + axis.turned**2)
+        back = part * (last - to.value[0, A])
+        to.value[0, A] += back
+        to.value[0, F] += known.mass * back
+        to.variance[0, A] -= part * own
     if known.gain > 0.0:
         moved = to.value[0, X] - to.value[1, X]
         to.value[0, V] = derived(known.gain, known.pole, to.value[1, V], moved)

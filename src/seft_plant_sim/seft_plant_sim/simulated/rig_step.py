@@ -192,7 +192,7 @@ def come_to_rest(
     plan : ndarray
         Shape (m, n); m is 0 without a plan.
     offset, last : ndarray
-        The last command, and how much more it is than planned, shapes (n,).
+        How much more the last command is than planned, and that command, shapes (n,).
     safe, closing, longest
         See `seft_plant_sim.hardware.safe_stop.Safe`; the last counts from the end of the plan on.
     command : ndarray

@@ -1,6 +1,7 @@
 """The recording of a test as a bag: read, and written in the form of a recorded one."""
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -309,17 +310,10 @@ def write_recording(
         for text in texts:
             bag.write(topics.DESCRIPTION, text, start_ns)
         time_ns = start_ns
-        for some in np.split(events, range(_AT_ONCE, len(events), _AT_ONCE)):
-            messages: list[list[tuple[Topic, bytes]]] = [[] for _ in some]
-            for which, topic, encode in encoders:
-                (places,) = np.nonzero(some[:, 1] == which)
-                raws = encode(some[places, 0], some[places, 2])
-                for place, raw in zip(places.tolist(), raws, strict=True):
-                    messages[place].append((topic, raw))
-            times = start_ns + timebase.stamps_ns(some[:, 0])
-            for time_ns, found in zip(times.tolist(), messages, strict=True):
-                for topic, raw in found:
-                    bag.write(topic, raw, time_ns)
+        for step, which, index in events.tolist():
+            time_ns = start_ns + timebase.stamp_ns(step)
+            for topic, encode in encoders[which]:
+                bag.write(topic, encode(step, index), time_ns)
         if recording.complete and recording.missed is not None:
             statuses = _ending(recording, recording.missed)
             bag.write(topics.DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
@@ -327,41 +321,42 @@ def write_recording(
             bag.write(topics.DESCRIPTION, text, time_ns)
 
 
-_AT_ONCE = 4096  # events whose messages are made together
-_Encode = Callable[[Integers, Integers], Iterable[bytes]]
+_Encode = Callable[[int, int], bytes]
 
 
-def _encoders(recording: Recording, motion: Sequence[Chunk]) -> list[tuple[int, Topic, _Encode]]:
-    """List what makes the messages of each topic, of steps and indices, see `_events`."""
-    timebase, numbers = recording.experiment.timebase, [topic.name for topic in topics.STEP_TOPICS]
-    encoders: list[tuple[int, Topic, _Encode]] = []
-    for topic, rigs in _loop_of(recording.experiment):
+def _encoders(
+    recording: Recording, motion: Sequence[Chunk]
+) -> dict[int, list[tuple[Topic, _Encode]]]:
+    """Give what makes the messages of an event of its step and index, by topic, see `_events`."""
+    experiment, found = recording.experiment, defaultdict[int, list[tuple[Topic, _Encode]]](list)
+    numbers = {topic.name: number for number, topic in enumerate(topics.STEP_TOPICS)}
+    for topic, rigs in _loop_of(experiment):
         for rig in rigs:
-            codec = TrajectoryCodec(topic.of(rig), rig.axes, timebase)
-            values = recording.series[topic.name].values[:, :, rig.places]
-            is_given = topic is topics.GROUND_MOTION and motion
-            encode = _of_chunks(codec, motion) if is_given else _of_samples(codec, values)
-            encoders.append((numbers.index(topic.name), codec.topic, encode))
+            codec = TrajectoryCodec(topic.of(rig), rig.axes, experiment.timebase)
+            if topic is topics.GROUND_MOTION and motion:
+                encode = _of_chunks(codec, motion)
+            else:
+                encode = _of_samples(codec, recording.series[topic.name].values[:, :, rig.places])
+            found[numbers[topic.name]].append((codec.topic, encode))
     if recording.estimates is not None:
-        of_estimates = _of_estimates(recording.estimates, recording.experiment)
-        encoders.append((numbers.index(topics.ESTIMATES.name), topics.ESTIMATES, of_estimates))
-    return encoders
+        encode = _of_estimates(recording.estimates, experiment)
+        found[numbers[topics.ESTIMATES.name]].append((topics.ESTIMATES, encode))
+    return found
 
 
 def _of_samples(codec: TrajectoryCodec, values: Floats) -> _Encode:
-    return lambda steps, index: map(bytes, codec.encode_batch(steps, values[index]))
+    return lambda step, index: codec.encode(step, values[index])
 
 
 def _of_chunks(codec: TrajectoryCodec, motion: Sequence[Chunk]) -> _Encode:
-    return lambda _, index: [codec.encode_points(*motion[k]) for k in index.tolist()]
+    return lambda _, index: codec.encode_points(*motion[index])
 
 
 def _of_estimates(estimates: Estimates, experiment: Experiment) -> _Encode:
-    codec = EstimatesCodec(experiment.axes, experiment.timebase)
-    return lambda steps, index: [
-        codec.encode(step, dict(zip(estimates.names, row, strict=True)))
-        for step, row in zip(steps.tolist(), estimates.values[index], strict=True)
-    ]
+    codec, values = EstimatesCodec(experiment.axes, experiment.timebase), estimates.values
+    return lambda step, index: codec.encode(
+        step, dict(zip(estimates.names, values[index], strict=True))
+    )
 
 
 _OF_THE_END = ("missed_steps", "wall_s", "trip", "saturation", "round_trips", "simulated")

@@ -44,6 +44,11 @@ The error b of the observed deformation moves the stop operators, too, while the
 more unknown, a Gauss-Markov process with the variance and memory of the observer's noise, that acts
 through the tangent stiffness. So the force of a stiff slider that sticks tells b, and is taken
 neither for an offset nor for a change.
+
+A spring does not give energy: an estimated damping below 0 is corrected to 0, and with it what is
+correlated with it (estimate projection: Simon, Optimal State Estimation, 2006, ch. 7.5). Otherwise
+the target of a specimen that sticks could swing on, with the damping of small sliders, which noise
+moves, balanced by one that is not there.
 """
 
 import math
@@ -57,6 +62,7 @@ from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 from seft_ros.reference_force.yield_corner import (
     FORETELLS,
     HOLDS,
+    MENDED,
     SHIFT,
     STAGE,
     CornerParameters,
@@ -426,17 +432,22 @@ def follow_law(
     moved: float,
     measured: float,
     lacks: float,
-) -> None:
-    """Let the law with a corner learn, or begin where the force lacks something, N."""
+    remembered: float,
+) -> float:
+    """Let the law with a corner learn, or begin where the force lacks something, N.
+
+    The result is the change of the past impulse by a law that foretells, over a period, N.
+    """
     laws, corner, phi, y = parameters.corner, state.corner, state.regressors[j], state.thresholds[j]
     z = phi[laws.place]
     if lacks > 0.0 and z * moved > 0.0 and may_begin(laws, corner, j):
         slope, found = tangent(parameters, state, j), state.found[j]
         y[CORNER] = begin_corner(laws, corner, j, phi, moved, lacks, slope, found)
     if corner.slider[j, STAGE]:
-        y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER])
+        y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER], remembered)
         state.stops[j, CORNER] = phi[laws.place]
         corner.slider[j, SHIFT] = phi[laws.place] - z
+    return corner.slider[j, MENDED] if corner.slider[j, STAGE] == FORETELLS else 0.0
 
 
 @compiled
@@ -453,6 +464,7 @@ def follow_specimen(
     q = (2 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
     error = 1 + 2 * n + THRESHOLDS
     for j in range(n):
+        damper = 1 + n + j
         phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
         gain, taken, left = state.work[0], state.work[1], state.work[2]
         past = state.past[j]
@@ -493,7 +505,8 @@ def follow_specimen(
         if is_change:
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0
-        follow_law(parameters, state, j, moved, measured[j], abs(innovation) if yields else 0.0)
+        lacks = abs(innovation) if yields else 0.0
+        by_law = follow_law(parameters, state, j, moved, measured[j], lacks, remembered)
         foretells = state.corner.slider[j, STAGE] == FORETELLS
         assumed = state.corner.law[j] if foretells else parameters.start[j]
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
@@ -507,16 +520,20 @@ def follow_specimen(
             taken[i] = own * per_variance if i < learned or i == error else 0.0
             left[i] = taken[i] * variance - gain[i]
             found[i] += taken[i] * innovation
-            state.values[j, i] = found[i] + weight * (assumed[i] - found[i])
         copy(q, phi, last)
-        used = measured[j] - dot(q, state.values[j], phi)
         by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
         sharpen(q, taken, left, gain, p)
+        unsure = p[damper, damper]
+        negative = min(found[damper], 0.0) / unsure if unsure > 0.0 else 0.0
+        for i in range(q):
+            found[i] -= p[i, damper] * negative
+            state.values[j, i] = found[i] + weight * (assumed[i] - found[i])
+        used = measured[j] - dot(q, state.values[j], phi)
         of_past *= per_variance
         for i in range(q):
             after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
             past[i] = remembered * (past[i] - of_past * gain[i]) + after
-        late = (1.0 - weight) * of_past * innovation
+        late = (1.0 - weight) * of_past * innovation + weight * by_law
         impulse = remembered * sums[2] + used - late
         acts = sums[4] <= 0.0 and (is_change or was_right)
         sums[2] = 0.0 if acts else impulse

@@ -225,9 +225,14 @@ def update_target(
         copy(n, state.measured[0], state.target)
         before[:] = 0.0
         move_stops(p.model, state.model.thresholds, e, state.stops)
+    # by way of where it turned, if it did since the last sample, with a constant acceleration
+    turn, moved = state.springs[4], state.springs[5]
     for i in range(n):
-        state.springs[4, i] = e[i] - before[i]
-    move_stops(p.model, state.model.thresholds, state.springs[4], state.model.stops)
+        was = state.model.last[i, 1 + n + i]
+        turn[i] = 0.5 * p.dt * was * was / (was - rate[i]) if was * rate[i] < 0.0 else 0.0
+        moved[i] = e[i] - before[i] - turn[i]
+    move_stops(p.model, state.model.thresholds, turn, state.model.stops)
+    move_stops(p.model, state.model.thresholds, moved, state.model.stops)
     follow_specimen(p.model, state.model, e, rate, force)
     for j in range(n):
         state.stops[j, CORNER] += state.model.corner.slider[j, SHIFT]

@@ -19,7 +19,8 @@ is refuted, because it was wrong where it began, begins again at the next corner
 
 The law takes the place of the assumed specimen when it has foretold a corner on the other side,
 without which the force would have been missed by `STANDS_OUT` times its noise. Then it is as likely
-as the identified model. From there on likelihoods decide, as for the assumed specimen.
+as the identified model. From there on likelihoods decide, as for the assumed specimen. Like that
+model it improves its estimate of earlier forces with every sample, see `restoring_model`.
 """
 
 import math
@@ -34,10 +35,10 @@ underestimates, by the square of the noise over the motion (0.25 %)."""
 HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT = range(9)
+_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT, MENDED = range(10)
 """Columns of ``slider``: d; c, N; recent innovations, N, and their variance, N^2; motion of
-foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; and how
-far the last sample has shifted z, m."""
+foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; how far
+the last sample has shifted z, m; and what it has mended of the past impulse, over a period, N."""
 
 
 class CornerParameters(NamedTuple):
@@ -69,7 +70,8 @@ class CornerState(NamedTuple):
 
     law: Annotated[Floats, "n", "q"]  # parameters, in the places of the model's
     covariance: Annotated[Floats, "n", 5, 5]  # of p, K, C, w and c
-    slider: Annotated[Floats, "n", 9]
+    past: Annotated[Floats, "n", 5]  # their covariance with the past impulse, over a period
+    slider: Annotated[Floats, "n", 10]
     work: Annotated[Floats, 2, 5]
 
 
@@ -190,6 +192,7 @@ def begin_corner(
     covariance[2, 2] += p.prior[j, damping]
     covariance[4, 4] += slope * slope * moved * moved  # the corner may lie a sample away
     slider[:] = 0.0
+    state.past[j] = 0.0
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
     slider[_FROM], slider[_END] = start, e
     phi[p.place] = sense * y
@@ -199,16 +202,28 @@ def begin_corner(
 
 @compiled
 def follow_corner(
-    p: CornerParameters, state: CornerState, j: int, phi: Floats, measured: float, y: float
+    p: CornerParameters,
+    state: CornerState,
+    j: int,
+    phi: Floats,
+    measured: float,
+    y: float,
+    remembered: float,
 ) -> float:
     """Update the law of spring j with its force; give y, and change z in ``phi`` accordingly.
 
-    ``work`` is as `expect_corner` or `begin_corner` has left it.
+    ``work`` is as `expect_corner` or `begin_corner` has left it. The structure has ``remembered``
+    such a part of an impulse for a step.
     """
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
     factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
-    per_variance = 1.0 / (p.noise[j] + dot(5, factors, gain))
+    past, per_variance = state.past[j], 1.0 / (p.noise[j] + dot(5, factors, gain))
     share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
+    of_past = dot(5, past, factors)
+    slider[MENDED] = of_past * share
+    for i in range(5):
+        before = past[i] - of_past * gain[i] * per_variance
+        past[i] = remembered * before + gain[i] * p.noise[j] * per_variance
     law[0] += gain[0] * share
     law[1 + j] += gain[1] * share
     law[damping] += gain[2] * share
