@@ -43,7 +43,7 @@ def test_the_zero_of_the_acceleration_is_found_whatever_the_motion(bias):
     ],
 )
 def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, how):
-    x, v, _ = motion()
+    x, v, a = motion()
     yielding = np.zeros(COUNT)
     for k in range(1, COUNT):
         yielding[k] = np.clip(yielding[k - 1] + x[k] - x[k - 1], -1.7e-3, 1.7e-3)
@@ -52,7 +52,7 @@ def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, how):
     slowly, ramp = 0.5 - 0.5 * np.cos(np.pi * k / COUNT), np.maximum(k - 2439, 0) / (COUNT - 2439)
     shape = {"slowly": slowly, "at once": k >= 2439, "from then on": ramp}[how]
     force = law + 300.0 * v + moved * shape + noise(4.0, 2)
-    found, error, fitted = force_drift(x + noise(5e-6, 3), v, force, 2e-5)
+    found, error, fitted = force_drift(x + noise(5e-6, 3), np.column_stack([v, a]), force, 2e-5)
     assert (abs(found) > SIGNIFICANT * error) is (moved > 0.0)
     assert found * moved >= 0.0
     if how != "slowly":

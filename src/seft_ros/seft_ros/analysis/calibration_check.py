@@ -398,10 +398,13 @@ def _drifts(
         yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
-    forces = (f - a @ effect.mass.T) @ np.linalg.inv(springs)
-    e, rates = effect.deformation, v @ springs.T
+    forces, inertias = (y @ np.linalg.inv(springs) for y in (f, a @ effect.mass.T))
+    others = np.stack([v @ springs.T, inertias], axis=2)
     noise = channel_estimates.noise_of(x @ springs.T)
-    fits = [force_drift(e[:, j], rates[:, j], forces[:, j], noise[j]) for j in range(n)]
+    every = zip(
+        effect.deformation.T, others.swapaxes(0, 1), (forces - inertias).T, noise, strict=True
+    )
+    fits = [force_drift(*one) for one in every]
     moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
     shapes = np.stack([fit[2] for fit in fits], axis=1)
     of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)

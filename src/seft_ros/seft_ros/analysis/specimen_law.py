@@ -22,22 +22,26 @@ The deformation is that of displacement and acceleration together, which has a q
 
 The zero of the force may move while a test runs. It is in the restoring force r = f - M a::
 
-    r = law(x) + b g(t)                                                                    (1)
+    r = law(x) + m a + b g(t)                                                              (1)
 
-Where the law leaves little but noise, g is a step or a ramp that begins at a sample: what explains
-most. The standard error is that of correlated residuals (Newey & West 1987), times the standard
-errors that the largest of so many has by chance. Any other law leaves slow residuals. With g = (1 -
-cos(pi t / T)) / 2 in the time T of the test, they are fitted by cosines of k = 1 to `MODES` half
-periods. Those of a random walk, which has no drift, are independent with standard deviations that
-fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS), and by how much
-a law without round corners differs.
+with m for a mass that is wrong. Where the law leaves little but noise, g is a step or a ramp that
+begins at a sample: what explains most. The standard error is that of correlated residuals (Newey &
+West 1987), times what makes `SIGNIFICANT` of them as unlikely as they are of one estimate with a
+known error: of so many steps and ramps one is large by chance, and the residuals' few independent
+parts make their errors a Student's (Kiefer & Vogelsang 2005). Any other law leaves slow residuals.
+With g = (1 - cos(pi t / T)) / 2 in the time T of the test, they are fitted by cosines of k = 1 to
+`MODES` half periods. Those of a random walk, which has no drift, are independent with standard
+deviations that fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS).
+To both comes by how much a law without round corners differs.
 """
 
 import math
 
 import numpy as np
+from scipy.special import erfc, stdtrit
 from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
+from seft_plant_sim.calibration import SIGNIFICANT
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT
 from seft_plant_sim.compiled import bounded, compiled
 from seft_plant_sim.simulated.specimen import deformations
@@ -67,6 +71,7 @@ _STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is w
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 _DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
+_FREEDOM = 1.5 * _MEMORY  # degrees, of the error of so few
 
 
 def springs_of(assumed: Experiment, whole: WholeStructure) -> Floats:
@@ -250,34 +255,37 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
 
 
 def force_drift(
-    deformation: Floats, rate: Floats, force: Floats, noise: float
+    deformation: Floats, others: Floats, force: Floats, noise: float
 ) -> tuple[float, float, Floats]:
     """Fit the zero of a spring's force, Eq. (1); give b, N, its standard error, and g, (N,).
 
     Parameters
     ----------
-    deformation, rate, force : ndarray
+    deformation, force : ndarray
         Of the spring, shape (N,).
+    others : ndarray
+        What else the force may follow, shape (N, k): the rate and the inertia.
     noise : float
         See `fine_law`.
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
-    law, y = fine_law(deformation, noise, here), force[here]
-    rates = rate[here]
-    law = np.column_stack([law, rates / (np.sqrt(np.mean(rates**2)) + 1e-300)])
+    y, law = force[here], fine_law(deformation, noise, here)
+    law = np.hstack([others[here] / (np.sqrt(np.mean(others**2, axis=0)) + 1e-300), law])
+    sharp = np.delete(law, np.s_[-3 * ROUND - _CORNERS - 1 : -_CORNERS - 1], axis=1)
     power, begin = _best_onset(law, y)
     time, at = np.arange(count), here.step * begin
     shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
-    values, errors, left = _beside_law(shape[here, np.newaxis], law, y)
-    largest = np.sqrt(2.0 * np.log(2.0 * len(y)))  # of a step and a ramp at each row
+    (b, error, left), (other, *_) = (
+        _beside_law(shape[here, np.newaxis], one, y) for one in (law, sharp)
+    )
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
-        return float(values[0]), float(largest * errors[0]), shape
+        most = -stdtrit(_FREEDOM, erfc(SIGNIFICANT / math.sqrt(2.0)) / (4.0 * len(y)))
+        return float(b[0]), float(np.hypot(most / SIGNIFICANT * error, b - other)[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
-    sharp = np.delete(law, np.s_[-3 * ROUND - _CORNERS - 2 : -_CORNERS - 2], axis=1)
-    values, others = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
-    error = np.hypot(np.sqrt(np.mean((modes * values)[_SLOW:] ** 2)), values[0] - others[0])
-    return float(-2.0 * values[0]), float(2.0 * error), 0.5 - 0.5 * np.cos(np.pi * time / count)
+    b, other = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
+    unsure = np.hypot(np.sqrt(np.mean((modes * b)[_SLOW:] ** 2)), b[0] - other[0])
+    return float(-2.0 * b[0]), float(2.0 * unsure), 0.5 - 0.5 * np.cos(np.pi * time / count)
 
 
 def _best_onset(law: Floats, y: Floats) -> tuple[int, int]:
@@ -305,7 +313,7 @@ def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, 
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
     regressors, q = np.hstack([drift, law]), drift.shape[1]
     normal = regressors.T @ regressors
-    stops = law.shape[1] - _CORNERS - 2
+    stops = law.shape[1] - _CORNERS - 1
     normal[q:, q:] += _prior(len(y), law.shape[1], stops, _CORNERS, _DRIFT_SMOOTH)
     inverse = np.linalg.inv(normal)
     values = inverse @ (regressors.T @ y)
