@@ -103,7 +103,7 @@ def test_slow_accelerations_are_known_by_the_displacement(of_a):
     samples = np.zeros((4000, 4, 1))
     samples[:, 0, 0] = x + 5e-6 * rng.normal(size=4000)
     samples[:, 2, 0] = a + of_a * rng.normal(size=4000)
-    found = with_motion(samples, np.array([5e-6]), np.array([of_a]), 0.002)[:, 2, 0]
+    found = with_motion(samples, np.array([[5e-6], [0.0], [of_a], [0.0]]), 0.002)[:, 2, 0]
     slow = np.convolve(found - a, np.hanning(101) / np.hanning(101).sum(), "valid")  # below 10 Hz
     assert np.std(slow) < 0.1 * of_a / np.sqrt(33) + 1e-12
     assert np.std(found - a) <= of_a

@@ -368,11 +368,10 @@ def _at_most(
     ]
     for channel, of, scale, lag in others:
         if channel == "acceleration":
-            one, error = (y.diagonal() for y in (of.scale, of.scale_error))
-            here = Relation(1.0 + one - scale, error, of.lag - lag, of.lag_error)
+            own_scale, error = of.scale.diagonal(), of.scale_error.diagonal()
+            here = Relation(1.0 + own_scale - scale, error, of.lag - lag, of.lag_error)
             both = _combined(here, known) or here
-            shown = of.scale.copy()
-            np.fill_diagonal(shown, both.scale)
+            shown = of.scale + np.diag(both.scale - own_scale)
             effects += (effect.of_scale(shown), 0.0), (effect.of_lag(both.lag), 0.0)
     mean, spread = np.array(effects).T
     drawn = mean + spread * np.random.default_rng(0).standard_normal((1 << 12, len(mean)))

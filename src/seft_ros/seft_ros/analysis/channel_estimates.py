@@ -222,19 +222,11 @@ def _size(response: Floats) -> float:
 
 def summed_covariance(scores: Floats, lags: int) -> Floats:
     """Covariance of the sum of correlated scores, shape (N, k) (Newey & West 1987)."""
-    size = next_fast_len(len(scores) + lags, real=True)
-    spectrum = rfft(scores, size, axis=0)
-    weights = np.zeros(size)
-    weights[:lags] = 1.0 - np.arange(lags) / lags
-    weights[size - lags + 1 :] = weights[1:lags][::-1]
-    # sum over all lags of weight times cross-product, by Parseval's theorem
-    density = rfft(weights).real
-    both = np.full(len(density), 2.0)
-    both[0] = 1.0
-    if size % 2 == 0:
-        both[-1] = 1.0
-    covariance: Floats = ((spectrum.conj() * (both * density)[:, np.newaxis]).T @ spectrum).real
-    return covariance / size
+    # the weights 1 - lag / lags are those of the sums over all windows of so many scores
+    sums = np.cumsum(np.pad(scores, [(lags, lags), (0, 0)]), axis=0)
+    windows = sums[lags:] - sums[:-lags]
+    covariance: Floats = windows.T @ windows / lags
+    return covariance
 
 
 def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Floats:
@@ -259,18 +251,19 @@ def without_folding(samples: Floats, mass: Floats, experiment: Experiment) -> Fl
     return found
 
 
-def with_motion(samples: Floats, of_x: Floats, of_a: Floats, dt: float) -> Floats:
+def with_motion(samples: Floats, noise: Floats, dt: float) -> Floats:
     """Take what displacement and acceleration know better of each other, c and y of Eq. (3).
 
     Parameters
     ----------
     samples : ndarray
         Shape (N, 4, n).
-    of_x, of_a : ndarray
-        RMS noise of displacement and acceleration, shape (n,). Without noise of the acceleration
-        nothing is better known.
+    noise : ndarray
+        RMS, shape (4, n), see `noise_of`. Without noise of the acceleration nothing is better
+        known.
     """
     inner, found = max(len(samples) - 2, 0), samples.copy()
+    of_x, of_a = noise[DISPLACEMENT], noise[ACCELERATION]
     for i in np.flatnonzero(of_a > 0.0) if inner else ():
         x, a = samples[:, DISPLACEMENT, i], samples[:, ACCELERATION, i]
         lacking = np.diff(x, 2) / dt**2 - (a[:-2] + 10.0 * a[1:-1] + a[2:]) / 12.0

@@ -201,15 +201,15 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
     equivalent = EquivalentMotion(structure, dt)
     with np.errstate(over="ignore", invalid="ignore"):  # of a test that went unstable
         seen = without_folding(measured, equivalent.mass, recording.experiment)
-        sizes = noise_of(measured[:, DISPLACEMENT]), noise_of(measured[:, ACCELERATION])
-        tested = equivalent.advance(with_motion(seen, *sizes, dt))
+        noise = noise_of(measured)
+        tested = equivalent.advance(with_motion(seen, noise, dt))
         of_tested, of_asked = (reference_response(assumed, y) for y in (tested, asked))
         first = nrmse(of_tested.displacement, of_asked.displacement)
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
         of_noise = [
-            law.difference(EquivalentMotion(structure, dt).advance(with_motion(one, *sizes, dt)))
+            law.difference(EquivalentMotion(structure, dt).advance(with_motion(one, noise, dt)))
             for one in _noise(measured, equivalent.mass)
         ]
         band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
@@ -218,8 +218,8 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
             np.stack([response_spectrum(y, dt, 1 / frequency, DAMPING) for y in a.T], axis=1)
             for a in (asked, tested)
         ]
-    noise = float(np.sqrt(np.mean(np.square(of_noise))))
-    return MotionDifference(natural, damping, first, specimen, noise, band, frequency, *spectra)
+    unsure = float(np.sqrt(np.mean(np.square(of_noise))))
+    return MotionDifference(natural, damping, first, specimen, unsure, band, frequency, *spectra)
 
 
 def _noise(samples: Floats, mass: Floats) -> Iterator[Floats]:

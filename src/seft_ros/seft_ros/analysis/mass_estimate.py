@@ -79,7 +79,7 @@ def inertia(
     band, noise = (0.0, top), channel_estimates.noise_of(x)
     by_spring, n = x @ deformation.T, x.shape[1]
     noises = channel_estimates.noise_of(by_spring)
-    moved = channel_estimates.with_motion(states, noise, channel_estimates.noise_of(a), dt)[:, 0]
+    moved = channel_estimates.with_motion(states, channel_estimates.noise_of(states), dt)[:, 0]
     laws = [fine_law(*one) for one in zip((moved @ deformation.T).T, noises, strict=True)]
     share = np.eye(n)
     if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
