@@ -87,17 +87,13 @@ class CalibrationEffect:
 
     def of_mass(self, factor: Floats) -> float:
         """Error if the mass is so many times the known one, or the force too large; shape (n,)."""
-        if (factor == 1.0).all():
-            return 0.0
-        true = self._total + (factor - 1.0)[:, np.newaxis] * self.mass
-        by_mass = self._motion @ np.linalg.solve(true, self._total).T - self._motion
+        more = (factor - 1.0)[:, np.newaxis] * self.mass
+        by_mass = self._motion @ np.linalg.solve(self._total + more, -more).T
         by_force = (1.0 / factor - 1.0) * self._samples[:, FORCE]
         return max(self._of(by_mass), self._of_force(by_force))
 
     def of_force_scale(self, factor: Floats) -> float:
         """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
-        if (factor == 1.0).all():
-            return 0.0
         off = 1.0 - 1.0 / factor
         force = self._motion @ self.mass.T + self._samples[:, FORCE]
         true = self._total - off[:, np.newaxis] * self.mass
@@ -397,15 +393,12 @@ def _drifts(
         yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
-    forces, inertias = (y @ np.linalg.inv(springs) for y in (f, a @ effect.mass.T))
+    f, inertias = (y @ np.linalg.inv(springs) for y in (f, a @ effect.mass.T))
     others = np.stack([v @ springs.T, inertias], axis=2)
     noise = channel_estimates.noise_of(x @ springs.T)
-    every = zip(
-        effect.deformation.T, others.swapaxes(0, 1), (forces - inertias).T, noise, strict=True
-    )
+    every = zip(effect.deformation.T, others.swapaxes(0, 1), (f - inertias).T, noise, strict=True)
     fits = [force_drift(*one) for one in every]
-    moved, errors = (np.array([fit[i] for fit in fits]) for i in (0, 1))
-    shapes = np.stack([fit[2] for fit in fits], axis=1)
+    moved, errors, shapes = (np.stack(each, axis=-1) for each in zip(*fits, strict=True))
     of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)
     yield from _each(of_zero, "drift", "force", axes, (moved, none, errors))
 

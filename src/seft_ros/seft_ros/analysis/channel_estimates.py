@@ -79,9 +79,7 @@ class Relation:
 
 def motion_frequency(states: Floats) -> float:
     """Frequency of a sine with this ratio of acceleration and displacement (RMS), Hz; NaN: none."""
-    x, a = states[:, 0], states[:, 2]
-    travel = float(np.sqrt(np.mean((x - x.mean(axis=0)) ** 2)))
-    rms = float(np.sqrt(np.mean((a - a.mean(axis=0)) ** 2)))
+    travel, _, rms, _ = np.sqrt(states.var(axis=0).mean(axis=1)).tolist()
     return math.sqrt(rms / travel) / (2 * np.pi) if travel > 0 else math.nan
 
 

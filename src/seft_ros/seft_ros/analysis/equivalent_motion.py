@@ -208,10 +208,8 @@ def motion_difference(recording: Recording) -> MotionDifference | None:
         springs = springs_of(assumed, structure)
         law = SpecimenLaw(structure, equivalent.mass, measured, springs, dt)
         specimen = law.difference(asked - tested)
-        of_noise = [
-            law.difference(EquivalentMotion(structure, dt).advance(with_motion(one, noise, dt)))
-            for one in _noise(measured, equivalent.mass)
-        ]
+        drawn = (with_motion(one, noise, dt) for one in _noise(measured, equivalent.mass))
+        of_noise = [law.difference(EquivalentMotion(structure, dt).advance(y)) for y in drawn]
         band = (float(natural[0]) / BAND_MARGIN, float(natural[-1]) * BAND_MARGIN)
         frequency = spectrum_frequencies(band, dt)
         spectra = [

@@ -48,7 +48,7 @@ from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.channel_estimates import noise_of, summed_covariance, with_motion
-from seft_ros.analysis.metrics import ratio
+from seft_ros.analysis.metrics import nrmse
 
 _SHARP, _ROUND = 24, 12  # stop operators with a corner, and those of each roundness, Eq. (2)
 _CORNERS = 40  # of a spring's curve: one of its law is within a hundredth of the travel
@@ -61,7 +61,7 @@ _SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few sampl
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
 
 _PARTS = 16  # of a test, in the first and last of which no step begins
-_MODES = 10  # cosines of Eq. (1)
+_MODES = np.arange(1, 11)  # k of the cosines of Eq. (1)
 _SLOW = 3  # of them, in which a drift may be
 _EVEN, _FINE = 96, 30  # more stop operators, and corners, of a law that is known to its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
@@ -173,9 +173,7 @@ class SpecimenLaw:
         moved, last = np.zeros_like(push), np.repeat(self.deformation[:1], 2, axis=0)
         work = moved, last, np.zeros((2, *self._slopes.shape)), np.zeros((2, structure.axes))
         _differ(self.deformation, springs, law, linear, push, work)
-        moved = moved[:, : change.shape[1]]
-        moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
-        return ratio(moved_rms, whole_rms)
+        return nrmse(self._x, self._x + moved[:, : change.shape[1]])
 
 
 def _thresholds(e: Floats, noise: float, highest: float) -> Floats:
@@ -250,10 +248,9 @@ def force_drift(
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         most = -stdtrit(_FREEDOM, erfc(SIGNIFICANT / math.sqrt(2.0)) / (4.0 * len(y)))
         return float(b[0]), float(np.hypot(most / SIGNIFICANT * error, b - other)[0]), shape
-    modes = np.arange(1, _MODES + 1)
-    cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
+    cosines = np.cos(np.pi * np.outer(time[here] / count, _MODES))
     b, other = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
-    unsure = np.hypot(np.sqrt(np.mean((modes * b)[_SLOW:] ** 2)), b[0] - other[0])
+    unsure = np.hypot(np.sqrt(np.mean((_MODES * b)[_SLOW:] ** 2)), b[0] - other[0])
     return float(-2.0 * b[0]), float(2.0 * unsure), 0.5 - 0.5 * np.cos(np.pi * time / count)
 
 
