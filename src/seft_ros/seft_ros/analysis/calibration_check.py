@@ -383,8 +383,7 @@ def _drifts(
 ) -> Iterator[Deviation]:
     """Zeros of acceleration and force that move; of the force where each spring has its own."""
     x, v, a, f = np.moveaxis(samples, 1, 0)
-    n, springs = len(axes), effect.springs
-    none = np.zeros(n)
+    n, springs, none = len(axes), effect.springs, np.zeros(len(axes))
     for name, half in halves.items():
         if half.stop - half.start < _FEWEST:
             return

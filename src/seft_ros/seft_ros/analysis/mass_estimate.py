@@ -12,7 +12,8 @@ estimate too small; the derivative of the velocity, which has other noise, serve
 (Reiersol 1945). So do the velocities for the dampers' rates, which are derived from the
 displacement: noise of one channel in both would be taken for mass, 3 % on three storeys. Windows in
 which the specimen is not described so well weigh less. Standard errors are those of correlated
-residuals (Newey & West 1987).
+residuals (Newey & West 1987), which a law of many parameters makes smaller than the noise: over the
+degrees of freedom that it leaves (MacKinnon & White 1985).
 """
 
 import numpy as np
@@ -184,8 +185,9 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
                 weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
                 sums = weighted.T @ regressors.reshape(weighted.shape)
                 answer = weighted.T @ target.ravel()
-                of_law = sums[its, its]
-                of_law[np.diag_indices(len(of_law))] += _RIDGE * size * weights.sum()
+                of_law, ridge = sums[its, its], _RIDGE * size * weights.sum()
+                of_law[np.diag_indices(len(of_law))] += ridge
+                used = len(of_law) - ridge * np.trace(np.linalg.inv(of_law))
                 # eliminate the law, which no other equation has
                 law_of = np.linalg.solve(of_law, np.column_stack([answer[its], sums[its, axes]]))
                 onto = np.linalg.solve(of_law.T, sums[axes, its].T)
@@ -204,4 +206,6 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
         scores = np.linalg.solve(normal, scores.T).T
     except np.linalg.LinAlgError:
         return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
-    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)))
+    # windows overlap by half, and each has its line
+    spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
+    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)) / spare)
