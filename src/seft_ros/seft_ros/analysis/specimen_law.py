@@ -30,7 +30,7 @@ West 1987), times what makes `SIGNIFICANT` of them as unlikely as they are of on
 known error: of so many steps and ramps one is large by chance, and the residuals' few independent
 parts make their errors a Student's (Kiefer & Vogelsang 2005). Any other law leaves slow residuals.
 With g = (1 - cos(pi t / T)) / 2 in the time T of the test, they are fitted by cosines of k = 1 to
-10 half periods. Those of a random walk, which has no drift, are independent with standard
+`MODES` half periods. Those of a random walk, which has no drift, are independent with standard
 deviations that fall as 1/k: the standard error is k times the amplitude of the faster ones (RMS).
 To both comes by how much a law without round corners differs.
 """
@@ -48,22 +48,26 @@ from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.channel_estimates import noise_of, summed_covariance, with_motion
-from seft_ros.analysis.metrics import nrmse
+from seft_ros.analysis.metrics import ratio
 
-_SHARP, _ROUND = 24, 12  # stop operators with a corner, and those of each roundness, Eq. (2)
-_CORNERS = 40  # of a spring's curve: one of its law is within a hundredth of the travel
-_STOP_OPERATORS = _SHARP + 3 * _ROUND
-_POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [_SHARP, *[_ROUND] * 3])  # of Eq. (2); 0: a corner
+SHARP, ROUND, CORNERS = 24, 12, 40
+"""Stop operators with a corner, those of each roundness, Eq. (2), and corners of the curve of a
+spring: from noise to most of its deformation, and so close that a corner of the law is within a
+hundredth of it."""
+STOP_OPERATORS = SHARP + 3 * ROUND
+_POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [SHARP, ROUND, ROUND, ROUND])  # of Eq. (2); 0: a corner
 _NEXT = 1.4  # threshold of a round one over that of the next, up to the largest deformation
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
+_BLOCK = 1 << 10  # of them at a time
 _SMOOTH = 0.1  # weight of a bend of the curve, over a sample's force: few samples make no corner
 _RIDGE = 1e-3  # of all parameters, over a sample's force: stop operators may be alike
 
 _PARTS = 16  # of a test, in the first and last of which no step begins
-_MODES = np.arange(1, 11)  # k of the cosines of Eq. (1)
+MODES = 10
+"""Cosines of Eq. (1)."""
 _SLOW = 3  # of them, in which a drift may be
-_EVEN, _FINE = 96, 30  # more stop operators, and corners, of a law that is known to its noise
+_STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 _DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
@@ -114,16 +118,15 @@ class SpecimenLaw:
         self._whole, self._dt, self._x = whole, dt, x
         self._springs = np.ascontiguousarray(deformation)
         self.deformation, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
-        each = zip(self.deformation.T, noise, strict=True)
-        self._thresholds = np.stack([_thresholds(*one, 0.7) for one in each])
-        self._step = np.maximum(np.ptp(self.deformation, axis=0), 1e-300) / (_CORNERS - 1)
-        # of the first corner: a further one on either side, see below
-        self._low = self.deformation.min(axis=0) - self._step
+        low, high = self.deformation.min(axis=0), self.deformation.max(axis=0)
+        self._thresholds = _thresholds(self.deformation, noise, SHARP, 0.7)
+        self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
+        self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
-        self._slopes = values[:, :_STOP_OPERATORS] / self._thresholds
-        curve = values[:, _STOP_OPERATORS : _STOP_OPERATORS + _CORNERS]
+        self._slopes = values[:, :STOP_OPERATORS] / self._thresholds
+        curve = values[:, STOP_OPERATORS : STOP_OPERATORS + CORNERS]
         # beyond the motion of the test it goes on with its mean slope, which pulls back
-        rise = (curve[:, -1:] - curve[:, :1]) / (_CORNERS - 1)
+        rise = (curve[:, -1:] - curve[:, :1]) / (CORNERS - 1)
         self._curve = np.hstack([curve[:, :1] - rise, curve, curve[:, -1:] + rise])
         self._damping = deformation.T * values[:, -1] @ deformation
 
@@ -131,22 +134,16 @@ class SpecimenLaw:
         """Fit stop operators, curve and damper to the springs' forces times D, shape (N, p)."""
         from scipy.optimize import nnls  # takes longer to import than all else of a report
 
-        p, columns = len(self._springs), _STOP_OPERATORS + _CORNERS + 1
-        here, ones = slice(None, None, 1 + len(rates) // _ROWS), np.ones((columns, columns))
+        p, columns = len(self._springs), STOP_OPERATORS + CORNERS + 1
         size = np.maximum(np.sqrt(np.mean(rates**2, axis=0)), 1e-300)
-        each = zip(self.deformation.T, self._thresholds, (rates / size).T, strict=True)
-        parts = [_regressors(e, y, _POWERS, _CORNERS, here, rate) for e, y, rate in each]
-        right = [one.T @ y for one, y in zip(parts, force[here].T, strict=True)]
-        law, prior = np.hstack(parts), _prior(len(parts[0]), columns, _CORNERS, _SMOOTH)
-        normal = (law.T @ law) * np.kron(self._springs @ self._springs.T, ones)
-        normal += np.kron(np.eye(p), prior)
+        normal, right = self._equations(rates, size, force)
         rises = np.eye(columns)  # of a curve, from corner to corner
-        rises[_STOP_OPERATORS:-1, _STOP_OPERATORS:-1] = np.tri(_CORNERS)
+        rises[STOP_OPERATORS:-1, STOP_OPERATORS:-1] = np.tri(CORNERS)
         sums = np.kron(np.eye(p), rises)
         lower = np.linalg.cholesky(sums.T @ normal @ sums)
-        target = np.linalg.solve(lower, sums.T @ np.concatenate(right))
+        target = np.linalg.solve(lower, sums.T @ right.ravel())
         # the force at a curve's first corner may be negative: a difference of two that are not
-        first = np.arange(p) * columns + _STOP_OPERATORS
+        first = np.arange(p) * columns + STOP_OPERATORS
         signed = np.hstack([lower.T, -lower.T[:, first]])
         both, _ = nnls(signed, target, maxiter=30 * p * columns)
         found = both[: p * columns]
@@ -154,6 +151,30 @@ class SpecimenLaw:
         values = (sums @ found).reshape(p, columns)
         values[:, -1] /= size
         return values
+
+    def _equations(self, rates: Floats, size: Floats, force: Floats) -> tuple[Floats, Floats]:
+        """Sum up the normal equations of the fit, with rates over their size, and its prior."""
+        every, p = 1 + len(rates) // _ROWS, len(self._springs)
+        columns = STOP_OPERATORS + CORNERS + 1
+        normal, right = np.zeros((p * columns, p * columns)), np.zeros((p, columns))
+        z, block = np.zeros((p, STOP_OPERATORS)), every * _BLOCK
+        for first in range(0, len(rates), block):  # not all at once: that takes much memory
+            begin = min(first, 1)  # stop operators need the sample before
+            before, here = slice(first - begin, first + block), slice(first, first + block, every)
+            parts = []
+            for j, e in enumerate(self.deformation[before].T):
+                stops = _followed(e, self._thresholds[j], _POWERS, z[j])
+                z[j] = stops[-1]
+                place = (self.deformation[here, j] - self._low[j]) / self._step[j] - 1.0
+                stops, rate = stops[begin::every] / self._thresholds[j], rates[here, j] / size[j]
+                parts.append(_regressors(stops, place, CORNERS, rate))
+                right[j] += parts[j].T @ force[here, j]
+            regressors = np.hstack(parts)
+            normal += regressors.T @ regressors
+        prior = _prior(len(rates[::every]), columns, STOP_OPERATORS, CORNERS, _SMOOTH)
+        normal *= np.kron(self._springs @ self._springs.T, np.ones((columns, columns)))
+        normal += np.kron(np.eye(p), prior)
+        return normal, right
 
     def difference(self, change: Floats) -> float:
         """RMS of the displacement's difference, over that of the answer to the other motion.
@@ -166,39 +187,48 @@ class SpecimenLaw:
         stiff = 0.25 * dt**2 * computed.stiffness
         inverse = np.linalg.inv(mass + 0.5 * dt * damping + stiff)
         keeps = inverse @ (mass - 0.5 * dt * damping + stiff)
-        push = -(dt**2) * self._whole.motion(change) @ (inverse @ mass).T
+        push = -dt * self._whole.motion(change) @ (inverse @ mass).T
+        moved, p = np.zeros((len(change), structure.axes)), len(self._springs)
         springs = np.pad(self._springs, [(0, 0), inside[0]])
         law = self._thresholds, _POWERS, self._slopes, self._curve, self._low, self._step
-        linear = keeps, dt**2 * inverse @ computed.stiffness, dt**2 * inverse
-        moved, last = np.zeros_like(push), np.repeat(self.deformation[:1], 2, axis=0)
-        work = moved, last, np.zeros((2, *self._slopes.shape)), np.zeros((2, structure.axes))
-        _differ(self.deformation, springs, law, linear, push, work)
-        return nrmse(self._x, self._x + moved[:, : change.shape[1]])
+        linear = keeps, dt * inverse @ computed.stiffness, dt * inverse
+        work = np.zeros((2, p, STOP_OPERATORS)), np.zeros((2, p)), np.zeros((2, structure.axes))
+        _differ(self.deformation, springs, law, linear, push, dt, moved, work)
+        moved = moved[:, : change.shape[1]]
+        moved_rms, whole_rms = (float(np.sqrt(np.mean(y**2))) for y in (moved, self._x + moved))
+        return ratio(moved_rms, whole_rms)
 
 
-def _thresholds(e: Floats, noise: float, highest: float) -> Floats:
-    """Thresholds of stop operators, of the sharp ones from noise to a share of a deformation."""
-    largest = max(np.abs(e).max(), 1e-300)
-    rounded = largest * _NEXT ** np.arange(1.0 - _ROUND, 1.0)
-    each = np.geomspace(max(noise, largest / 1000), highest * largest, _SHARP)
-    return np.concatenate([each, rounded, rounded, rounded])
+def _thresholds(e: Floats, noise: Floats, sharp: int, highest: float) -> Floats:
+    """Thresholds of stop operators, of the sharp ones from noise to a share of each deformation.
+
+    Shape (p, sharp + 3 ROUND).
+    """
+    largest = np.maximum(np.abs(e).max(axis=0), 1e-300)
+    least = np.maximum(noise, largest / 1000)
+    each = np.geomspace(least, highest * largest, sharp).T
+    rounded = largest[:, np.newaxis] * _NEXT ** np.arange(1.0 - ROUND, 1.0)
+    return np.hstack([each, rounded, rounded, rounded])
 
 
-def _regressors(
-    e: Floats, thresholds: Floats, powers: Floats, corners: int, rows: slice, linear: Floats
-) -> Floats:
-    """Stop operators, hats at the corners of a curve, and another signal, in these rows."""
-    stops = np.zeros((len(e), len(thresholds)))
+def _followed(e: Floats, thresholds: Floats, powers: Floats, start: Floats) -> Floats:
+    """Give the stop operators of a deformation, (N,), which begin with some values; (N, m)."""
+    stops = np.empty((len(e), len(thresholds)))
+    stops[0] = start
     _follow(np.ascontiguousarray(e), thresholds, powers, stops)
-    place = (e - e.min()) / max(np.ptp(e), 1e-300) * (corners - 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(place[rows, np.newaxis] - np.arange(corners)))
-    return np.column_stack([stops[rows] / thresholds, hats, linear[rows]])
+    return stops
 
 
-def _prior(rows: int, columns: int, corners: int, smooth: float) -> Floats:
+def _regressors(stops: Floats, place: Floats, corners: int, *linear: Floats) -> Floats:
+    """Stop operators, hats at the corners of a curve for places counted in these, and others."""
+    hats = np.maximum(0.0, 1.0 - np.abs(place[:, np.newaxis] - np.arange(corners)))
+    return np.column_stack([stops, hats, *linear])
+
+
+def _prior(rows: int, columns: int, stops: int, corners: int, smooth: float) -> Floats:
     """Keep a curve smooth and all parameters small, beside so many samples: a normal matrix."""
     bends = np.zeros((corners - 2, columns))
-    bends[:, -corners - 1 : -1] = np.diff(np.eye(corners), 2, axis=0)
+    bends[:, stops : stops + corners] = np.diff(np.eye(corners), 2, axis=0)
     return rows * (smooth**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
 
 
@@ -214,11 +244,13 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
     rows : slice
         Those that are wanted.
     """
-    thresholds = _thresholds(deformation, noise, 1.0)
-    thresholds = np.append(thresholds[_SHARP - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
-    powers = np.append(np.zeros(_EVEN + _SHARP - 1), _POWERS[_SHARP:])
-    line = deformation / (np.sqrt(np.mean(deformation**2)) + 1e-300)
-    return _regressors(deformation, thresholds, powers, _FINE, rows, line)
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], np.array([noise]), _STOPS, 1.0)
+    thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
+    powers = np.append(np.zeros(len(thresholds) - 3 * ROUND), _POWERS[SHARP:])
+    stops = _followed(deformation, thresholds, powers, 0.0 * powers)[rows] / thresholds
+    place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
+    size = np.sqrt(np.mean(deformation**2)) + 1e-300
+    return _regressors(stops, place[rows], _CORNERS, deformation[rows] / size)
 
 
 def force_drift(
@@ -238,7 +270,7 @@ def force_drift(
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
     y, law = force[here], fine_law(deformation, noise, here)
     law = np.hstack([others[here] / (np.sqrt(np.mean(others**2, axis=0)) + 1e-300), law])
-    sharp = np.delete(law, np.s_[-3 * _ROUND - _FINE - 1 : -_FINE - 1], axis=1)
+    sharp = np.delete(law, np.s_[-3 * ROUND - _CORNERS - 1 : -_CORNERS - 1], axis=1)
     power, begin = _best_onset(law, y)
     time, at = np.arange(count), here.step * begin
     shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
@@ -248,9 +280,10 @@ def force_drift(
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         most = -stdtrit(_FREEDOM, erfc(SIGNIFICANT / math.sqrt(2.0)) / (4.0 * len(y)))
         return float(b[0]), float(np.hypot(most / SIGNIFICANT * error, b - other)[0]), shape
-    cosines = np.cos(np.pi * np.outer(time[here] / count, _MODES))
+    modes = np.arange(1, MODES + 1)
+    cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
     b, other = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
-    unsure = np.hypot(np.sqrt(np.mean((_MODES * b)[_SLOW:] ** 2)), b[0] - other[0])
+    unsure = np.hypot(np.sqrt(np.mean((modes * b)[_SLOW:] ** 2)), b[0] - other[0])
     return float(-2.0 * b[0]), float(2.0 * unsure), 0.5 - 0.5 * np.cos(np.pi * time / count)
 
 
@@ -279,7 +312,8 @@ def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, 
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
     regressors, q = np.hstack([drift, law]), drift.shape[1]
     normal = regressors.T @ regressors
-    normal[q:, q:] += _prior(len(y), law.shape[1], _FINE, _DRIFT_SMOOTH)
+    stops = law.shape[1] - _CORNERS - 1
+    normal[q:, q:] += _prior(len(y), law.shape[1], stops, _CORNERS, _DRIFT_SMOOTH)
     inverse = np.linalg.inv(normal)
     values = inverse @ (regressors.T @ y)
     left = y - regressors @ values
@@ -325,22 +359,25 @@ def _differ(
     law: tuple[Floats, Floats, Floats, Floats, Floats, Floats],
     linear: tuple[Floats, Floats, Floats],
     push: Floats,
-    work: tuple[Floats, Floats, Floats, Floats],
+    dt: float,
+    moved: Floats,
+    work: tuple[Floats, Floats, Floats],
 ) -> None:
     """Integrate the difference; springs by central differences, the others by average acceleration.
 
-    ``work`` are the difference, last deformations and stop operators of both motions, and rises in
-    a step.
+    ``work`` are stop operators of both motions, last deformations and velocities.
     """
     thresholds, powers, slopes, curve, low, step = law
     keeps, pulls, inverse = linear
-    moved, last, z, rises = work
+    z, last, velocity = work
     n, (p, m) = len(keeps), thresholds.shape
+    for j in range(p):
+        last[0, j] = last[1, j] = e[0, j]
     for k in range(len(e) - 1):
         for i in range(n):
-            rises[1, i] = push[k, i]
+            velocity[1, i] = push[k, i]
             for h in range(n):
-                rises[1, i] += keeps[i, h] * rises[0, h] - pulls[i, h] * moved[k, h]
+                velocity[1, i] += keeps[i, h] * velocity[0, h] - pulls[i, h] * moved[k, h]
         for j in range(p):
             both, force = e[k, j], 0.0
             for h in range(n):
@@ -356,7 +393,7 @@ def _differ(
             force -= _curve_at(curve[j], (e[k, j] - low[j]) / step[j])
             for i in range(n):
                 for h in range(n):
-                    rises[1, i] -= inverse[i, h] * springs[j, h] * force
+                    velocity[1, i] -= inverse[i, h] * springs[j, h] * force
         for i in range(n):
-            rises[0, i] = rises[1, i]
-            moved[k + 1, i] = moved[k, i] + rises[0, i]
+            velocity[0, i] = velocity[1, i]
+            moved[k + 1, i] = moved[k, i] + dt * velocity[0, i]
