@@ -73,7 +73,7 @@ def test_a_fault_free_test_is_not_doubted(words):
         (("rig:simulated.sensors.displacement_scale:=1.03",), {"scale"}),
         (("rig:faults:=force scale 1.08 at 3.0",), {"mass"}),
         (("rig:faults:=force drift -12.0 at 2.0",), {"drift"}),
-        ((*FRICTION, "rig:faults:=force drift 8.0 at 2.0"), {"drift"}),
+        ((*FRICTION, "rig:faults:=force drift 12.0 at 2.0"), {"drift"}),
     ],
 )
 def test_a_wrong_mass_scale_lag_or_zero_puts_a_test_in_doubt(words, kinds):
