@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from seft_ros.reference_force import restoring_model as models
-from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, STAGE
+from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, STAGE, may_begin
 from test_target_motion import K, followed
 
 YIELDS, HARDENS = 0.003, 0.05
@@ -57,6 +57,15 @@ def test_a_specimen_that_no_longer_yields_is_not_said_to():
     _, state, left = followed(stiff, x, v)
     assert state.sums[0, 4] < 0.0
     assert np.abs(left[0, -300:]).max() < 40.0
+
+
+@pytest.mark.parametrize(("part", "is_none"), [(-0.4, False), (-0.6, True)])
+def test_a_law_that_falls_faster_than_it_rises_is_none(part, is_none):
+    x, v = sway(0.012)
+    parameters, state, _ = followed(bilinear(x, v), x, v)
+    law, laws = state.corner.law[0], parameters.corner
+    law[1] = part * law[laws.place]
+    assert may_begin(laws, state.corner, 0) == is_none
 
 
 def test_a_test_begins_without_a_law():

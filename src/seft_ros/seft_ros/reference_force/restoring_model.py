@@ -45,10 +45,9 @@ more unknown, a Gauss-Markov process with the variance and memory of the observe
 through the tangent stiffness. So the force of a stiff slider that sticks tells b, and is taken
 neither for an offset nor for a change.
 
-A spring does not give energy: an estimated damping below 0 is corrected to 0, and with it what is
-correlated with it (estimate projection: Simon, Optimal State Estimation, 2006, ch. 7.5). Otherwise
-the target of a specimen that sticks could swing on, with the damping of small sliders, which noise
-moves, balanced by one that is not there.
+A spring does not give energy: an estimated damping below 0 is 0, and the offset takes its force.
+Otherwise the target of a specimen that sticks could swing on, with the damping of small sliders,
+which noise moves, balanced by one that is not there.
 """
 
 import math
@@ -523,10 +522,10 @@ def follow_specimen(
         copy(q, phi, last)
         by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
         sharpen(q, taken, left, gain, p)
-        unsure = p[damper, damper]
-        negative = min(found[damper], 0.0) / unsure if unsure > 0.0 else 0.0
+        negative = min(found[damper], 0.0)
+        found[damper] -= negative
+        found[0] += negative * phi[damper]
         for i in range(q):
-            found[i] -= p[i, damper] * negative
             state.values[j, i] = found[i] + weight * (assumed[i] - found[i])
         used = measured[j] - dot(q, state.values[j], phi)
         of_past *= per_variance

@@ -115,7 +115,7 @@ def expect_corner(
     if slips and slider[_SLID] >= 0.0:
         slider[_SLID] += abs(moved)
         saved = law[p.place] * slider[_SLID]
-        if saved > STANDS_OUT * math.sqrt(p.noise[j]):
+        if saved > STANDS_OUT * math.sqrt(p.noise[j]) and _yields(p, law, j):
             slider[STAGE] = FORETELLS
     return variance
 
@@ -141,7 +141,16 @@ def _force(law: Floats, phi: Floats, place: int, factors: Floats, slider: Floats
 def may_begin(p: CornerParameters, state: CornerState, j: int) -> bool:
     """Say whether there is no law, or one that is refuted, or of no yielding."""
     slider = state.slider[j]
-    return slider[STAGE] == 0.0 or state.law[j, p.place] <= 0.0 or is_refuted(p, slider)
+    return slider[STAGE] == 0.0 or not _yields(p, state.law[j], j) or is_refuted(p, slider)
+
+
+@compiled
+def _yields(p: CornerParameters, law: Floats, j: int) -> bool:
+    """Say whether a law has a slider, and falls no faster behind its corner than it rises before.
+
+    Small motions of a slider that sticks far from 0 may tell K and w only by their sum.
+    """
+    return law[p.place] > 0.0 and 2.0 * law[1 + j] + law[p.place] >= 0.0
 
 
 @compiled
@@ -232,7 +241,7 @@ def follow_corner(
     for i in range(5):
         for k in range(5):
             covariance[i, k] -= gain[i] * gain[k] * per_variance
-    if law[p.place] <= 0.0 or slider[_FORCE] <= 0.0:
+    if not _yields(p, law, j) or slider[_FORCE] <= 0.0:
         slider[STAGE] = _BEGUN
         return y
     y = slider[_FORCE] / law[p.place]
