@@ -163,13 +163,13 @@ def test_a_servo_goes_on_from_where_it_is_and_stays_there():
 @pytest.mark.parametrize(
     ("faults", "ends", "trusted"),
     [
-        ("force set -9e4 at 0.396 for 3", "force_wrong", 197),
+        ("force set -9e4 at 0.396 for 3", "force_wrong", 194),
         ("force set -9e4 at 0.4 for 1", None, 200),
         ("velocity set 0.9 at 0.396 for 3", "velocity_wrong", 200),
-        ("velocity add 0.02 at 0.396 for 3", "velocity_wrong", 197),
+        ("velocity add 0.02 at 0.396 for 3", "velocity_wrong", 194),
         ("displacement set 0.09 at 0.396 for 3", "displacement_wrong", 200),
         (["velocity freeze at 0.392", "force freeze at 0.392"], "velocity_frozen", 192),
-        (["acceleration flip at 0.394", "force flip at 0.394"], "acceleration_wrong", 196),
+        (["acceleration flip at 0.394", "force flip at 0.394"], "acceleration_wrong", 193),
     ],
 )
 def test_a_rig_knows_up_to_which_step_nothing_wrong_was_used(faults, ends, trusted):

@@ -234,9 +234,6 @@ class Guard:
         if (row >= WRONG or not found & FAULT) and not (unsure or (judge.replaced & FORCES).any()):
             return last
         since = 1 + max(wrong, default=0)
-        calm = self.state.detectors.shares[: detectors.FROZEN].max() < 1.0
-        if row >= WRONG and len(wrong) == since and calm:  # the first of them was found at once
-            return last - since
         if found & FAULT and detectors.FROZEN <= row < WRONG:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
         elif (found & FAULT and row < WRONG) or len(wrong) < since:
