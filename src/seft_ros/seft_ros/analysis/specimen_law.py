@@ -1,6 +1,6 @@
 """How a specimen would have answered another ground motion, by the law of its recording.
 
-The restoring force that was measured is fitted by stop operators (`slide`), a rising curve and a
+The restoring force that was measured is fitted by stop operators, a rising curve and a
 damper of each spring's deformation e = D x. None of them gives energy: a law that did would let
 every small difference grow. What they do not describe stays as it was measured, so that for the
 test's own motion the structure does what it did. For a motion that is different by g its
