@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.signal
 from seft_ros.analysis.report_numbers import spectrum_of, vibration
 
 DT = 0.002
@@ -29,3 +30,12 @@ def test_short_recordings_have_short_spectra(count):
     found = spectrum_of(np.ones(count), DT)
     assert len(found.frequency_hz) == (count // 2 + 1 if count > 1 else 0)
     assert found.rms() == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 5, 1999, 2000, 2001, 7001])
+def test_spectrum_is_that_of_scipy(count):
+    y = np.random.default_rng(count).normal(size=count) + 3.0
+    found = spectrum_of(y, DT)
+    frequency, power = scipy.signal.welch(y, 1 / DT, nperseg=min(count, round(4.0 / DT)))
+    np.testing.assert_allclose(found.frequency_hz, frequency)
+    np.testing.assert_allclose(found.power, power, atol=1e-12 * power.max())
