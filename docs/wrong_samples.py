@@ -84,8 +84,9 @@ def main():
                         print(name, given, *line, file=sys.stderr)
     print(f"| wrong | {' | '.join(ROWS)} |\n|---|{'---|' * len(ROWS)}")
     for (channel, count), (force, target, error) in worst.items():
+        share = f"{error * 100:.2f} %"
         part = f"{ended[channel, count]} of {(4 if count == ON else 1) * draws * len(TESTS)}"
-        print(f"| {channel} | {count} | {force:.2f} | {target:.2f} | {error:.2%} | {part} |")
+        print(f"| {channel} | {count} | {force:.2f} | {target:.2f} | {share} | {part} |")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The six nodes over DDS, started once as `ros2 run` does: operator, parameters, strangers, end."""
 
+import asyncio
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from ros_domain import reserved_domain
 from seft_msgs_py.node.rclpy_interface import message_class, qos_profile
 from seft_msgs_py.wire.topics import DIAGNOSTICS, VALVE_COMMAND
 from seft_ros.bags.recording_bag import read_bag
+from seft_ros.monitor import graph as monitor
 from seft_ros.nodes.supervisor_node import STOOD_STILL
 from seft_ros.test_run.processes import MODULES
 
@@ -143,6 +145,16 @@ def test_commands_operate_nodes_that_were_started_by_hand(graph, seft, seft_json
     places = [log.find(text) for text in (*wanted, "tripped: aborted by the operator")]
     assert -1 not in places and places == sorted(places), log
     assert all("[INFO]" in each.read_text() for each in graph.logs.values())
+
+
+def test_the_monitor_tells_what_the_supervisor_answers(graph):
+    watching = monitor.Graph()
+    try:
+        wait_for(lambda: asyncio.run(watching.call("start")) == (True, "the test is running"), "it")
+        assert asyncio.run(watching.call("stop"))[1].startswith("the test is ramping down")
+    finally:
+        watching.close()
+    graph.until("done", "the soft end")
 
 
 def test_who_waits_for_a_supervisor_that_stands_still_starts_a_test(graph):

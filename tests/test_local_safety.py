@@ -97,4 +97,4 @@ def test_missed_commands_of_a_short_test_count_until_its_last_step(local_graph):
     graph.drop(VALVE_COMMAND, range(100, 200, 3), "rig")
     perform(graph, "tripped")
     assert graph.status("rig")["phase"] == "finished"
-    assert "missed 34 of 500 commands within a second (6.8%" in graph.values["detail"]
+    assert "missed 34 of 500 commands within a second (6.8 %" in graph.values["detail"]

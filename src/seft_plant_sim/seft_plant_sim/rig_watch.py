@@ -364,5 +364,5 @@ def rig_report(
     narrow = [limit for limit, left in margins.items() if not left >= NARROW]
     if narrow and level < WARN:
         level = WARN
-        message += f"; less than {NARROW:.0%} left to the limit of {', '.join(narrow)}"
+        message += f"; less than {NARROW * 100:.0f} % left to the limit of {', '.join(narrow)}"
     return replace(status, level=level, message=message, values=values)

@@ -45,7 +45,7 @@ def test_what_was_not_is_left_out():
 
 @pytest.mark.parametrize("left", [0.09, 0.0, -3.0, float("nan")])
 def test_a_narrow_margin_is_warned_of(left):
-    narrow, text = {"force": left, "velocity": 0.1}, "; less than 10% left to the limit of force"
+    narrow, text = {"force": left, "velocity": 0.1}, "; less than 10 % left to the limit of force"
     health = report(narrow, "finished")
     assert (health.level, health.message) == (WARN, f"finished: 100 steps, 0 missed{text}")
     slow = report(narrow, "finished", missed=2)

@@ -78,7 +78,7 @@ def test_terminal_page_and_json_give_the_same_verdicts(seft_json, tmp_path, caps
         return
     write_recording(recording, tmp_path / "bag")
     found = seft_json("report", "bag", status=int(name == "tripped"))
-    page = html.unescape((tmp_path / "bag" / "report.html").read_text())
+    page = html.unescape((tmp_path / "bag" / "report.html").read_text()).replace("\u00a0", " ")
     for key, begin in (("verdict", BY_TRUTH), ("laboratory_verdict", IN_LABORATORY)):
         mark, line = found[key]["verdict"], found[key]["text"]
         assert line.startswith(f"{begin} {WORDS[mark]}")

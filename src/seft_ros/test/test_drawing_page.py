@@ -100,9 +100,10 @@ def test_terminal_and_page_show_the_same_cells(tmp_path) -> None:
     page.write_page(tmp_path / "page.html", "", "", [page.PageSection("one", [table])])
     html, text = (tmp_path / "page.html").read_text(), shown([table])
     for cell in ("peak", "displacement", "10.5 mm", "x force", "1516 N"):
-        assert f">{cell}</t" in html
+        unbroken = cell.replace("5 mm", "5\u00a0mm").replace("6 N", "6\u00a0N")
+        assert f">{unbroken}</t" in html
         assert cell in text
-    assert '<td class="bad">10.5 mm</td>' in html
+    assert '<td class="bad">10.5\u00a0mm</td>' in html
     assert html.count("<tbody>") == 2
     assert text.count("├") == 1  # a line between the sections
 

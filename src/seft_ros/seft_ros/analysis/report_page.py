@@ -1,5 +1,6 @@
 """The report of a test as a page; its sections on the experiment and how it ran."""
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -139,12 +140,22 @@ def _value(value: Any) -> str:
 
 
 def _parameters(recording: Recording) -> list[page.Block]:
-    """Every parameter of every node, as resolved."""
-    tables = {
-        node: [(name, _value(value)) for name, value in sorted(section.items())]
-        for node, section in sorted(recording.experiment.sections.items())
+    """Every parameter, as resolved: those that nodes share, ``/**``, then the others of each."""
+    sections = recording.experiment.sections
+    holders = Counter(name for section in sections.values() for name in section)
+    every = {name: value for section in sections.values() for name, value in section.items()}
+    shared = {
+        name: value
+        for name, value in every.items()
+        if holders[name] > 1 and all(one.get(name, value) == value for one in sections.values())
     }
-    return [TextTable((node, ""), rows, numbers=False) for node, rows in tables.items()]
+    tables = {"/**": shared}
+    for node, section in sorted(sections.items()):
+        tables[node] = {name: section[name] for name in section if name not in shared}
+    return [
+        TextTable((node, ""), [(n, _value(v)) for n, v in sorted(one.items())], numbers=False)
+        for node, one in tables.items()
+    ]
 
 
 def _timing(report: Report) -> Iterator[page.Block]:

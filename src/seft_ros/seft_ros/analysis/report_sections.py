@@ -22,8 +22,7 @@ _WINDOW = 1.0
 
 _FEW = 4  # natural frequencies that are listed
 _INTENDED = {
-    False: "The intended force is the reference force of the same step, so even an ideal actuator "
-    "is one period late.",
+    False: "The intended force is the reference force of the same step.",
     True: "The compensation method sends the reference force ahead of time, so the intended force "
     "is derived from measurements: -M_e a_g + S r, with r = f - M_e a the restoring force.",
 }
@@ -230,5 +229,5 @@ def energy(report: Report) -> Iterator[Block]:
     for (name, (steps, part)), color in zip(report.energies.items(), style.OTHERS, strict=False):
         line(panel, steps * dt, part, name, color=color)
     closure = report.summary["energy"]["closure"]
-    left = "" if closure is None else f" At most {closure:.2%} of the input is unexplained."
+    left = "" if closure is None else f" At most {percent(closure)} of the input is unexplained."
     yield Plot(panel, f"Work of the actuators' force, and where it went.{left}")

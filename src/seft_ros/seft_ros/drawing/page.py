@@ -4,12 +4,22 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bokeh.document import Document
 from bokeh.embed import components
 from bokeh.model import Model
-from bokeh.models import BoxAnnotation, DataRange1d, HoverTool, NumeralTickFormatter, Range1d, Span
+from bokeh.models import (
+    BoxAnnotation,
+    DataRange1d,
+    FixedTicker,
+    HoverTool,
+    NoOverlap,
+    NumeralTickFormatter,
+    Range1d,
+    Span,
+)
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -21,6 +31,7 @@ SUFFIX = ".html"
 _HEIGHT = 260  # pixels
 _TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
 _FAINT = "#aab1b8"
+_LOG_TICKS = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,7 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[PageSec
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        finalize=_tied,
     )
     text = environment.get_template("page.html").render(
         title=title,
@@ -107,6 +119,11 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[PageSec
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: the page can't be written ({error.strerror})") from None
+
+
+def _tied(text: Any) -> Any:
+    """Keep numbers and their units in one line; what is HTML already is left."""
+    return re.sub(r"(?<=[\d±]) (?=\S)", "\u00a0", text) if type(text) is str else text
 
 
 def check_page(path: Path) -> Path:
@@ -152,6 +169,8 @@ def plot(
         axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = _FAINT
     if log_x:
         found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
+        found.xaxis.ticker = FixedTicker(ticks=_LOG_TICKS)
+        found.xaxis.major_label_policy = NoOverlap()
     return found
 
 

@@ -219,6 +219,7 @@ def rows_of(numbers: Iterable[Number], *results: Any) -> list[list[str]]:
 def axis_label(name: str) -> str:
     """Label an axis of a figure with a quantity and its unit, if it has a known one."""
     unit, _ = DISPLAY_UNITS.get(name, ("", 1.0))
+    unit = f"({unit})" if "/" in unit or " " in unit else unit
     return f"{name} / {unit}" if unit else name
 
 

@@ -189,7 +189,7 @@ def motion_figure(
         panel.plot(times[peak], values[peak], "o", color=f"C{index}", markersize=4)
         label = f"{name}: peak {values[peak]:.3g} m/s²"
         panel.text(0.99, 0.95, label, transform=panel.transAxes, ha="right", va="top")
-        panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. / m/s²")
+        panel.set(xlim=(0, times[-1] or dt), ylim=(-limit, limit), ylabel="ground acc. / (m/s²)")
         tidy(panel)
         panel.label_outer() if index < n - 1 else panel.set_xlabel("time / s")
         spectrum = response_spectrum(values, dt, SPECTRUM_PERIODS, _DAMPING)
@@ -197,8 +197,8 @@ def motion_figure(
     spectra.set(
         xlim=(SPECTRUM_PERIODS[0], SPECTRUM_PERIODS[-1]),
         xlabel="natural period / s",
-        ylabel="pseudo-acceleration / m/s²",
-        title=f"response spectrum, {_DAMPING:.0%} damping",
+        ylabel="pseudo-acceleration / (m/s²)",
+        title=f"response spectrum, {_DAMPING * 100:.0f} % damping",
     )
     spectra.set_ylim(bottom=0)
     spectra.xaxis.set_major_formatter("{x:g}")

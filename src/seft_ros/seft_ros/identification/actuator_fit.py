@@ -281,10 +281,10 @@ class ActuatorFit:
         if self.verdict != "not usable":
             return ""
         if self.explained < MIN_EXPLAINED:
-            share = f"{max(self.explained, 0.0):.0%} of the flow's variance"
+            share = f"{max(self.explained, 0.0) * 100:.0f} % of the flow's variance"
             check = "the oil is on and that displacement, acceleration and force have SI units"
             mend = f"raise --amplitude or --duration, and check that {check}"
-            return f"commands explain {share}, where {MIN_EXPLAINED:.0%} are needed; {mend}"
+            return f"commands explain {share}, where {MIN_EXPLAINED * 100:.0f} % are needed; {mend}"
         pair = "displacement against command" if self.flow_gain <= 0 else "force against motion"
         check = "check the polarity of the sensors and the valve"
         return f"the sign of {pair} is wrong; {check}, and that no channel has a filter of its own"

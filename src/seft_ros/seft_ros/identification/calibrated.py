@@ -482,7 +482,8 @@ def multisine_notes(result: MultisineResult, axes: Sequence[str]) -> list[str]:
     for axis, known, mass, error in zip(axes, *masses, strict=True):
         off = abs(mass - known) > max(SIGNIFICANT * error, SAME_MASS * mass)
         if off and not result.is_weighed:
-            shows = f"the load cell shows {mass / known:.1%} of the force; then give --known-mass"
+            share = f"{mass / known * 100:.1f} %"
+            shows = f"the load cell shows {share} of the force; then give --known-mass"
             differs = f"axis {axis}: mass {mass:.4g} kg, configured {known:.4g} kg"
             found.append(f"{differs}: if that was weighed, {shows}")
     off = np.abs(fit.tilt - np.eye(len(axes))) > SIGNIFICANT * fit.tilt_error

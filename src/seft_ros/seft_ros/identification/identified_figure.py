@@ -20,7 +20,7 @@ _POINTS = 2000  # of a response
 _NOTE: dict[str, Any] = {"fontsize": 8, "color": MARK, "va": "bottom"}
 _LINE: dict[str, Any] = {"color": MARK, "lw": 0.8, "ls": "--"}
 _HEADING: dict[str, Any] = {"fontsize": 11, "color": TEXT, "parse_math": False}
-_OF_VALVE = ("flow / mm/s", "force per valve drive / N/V")
+_OF_VALVE = ("flow / (mm/s)", "force per valve drive / (N/V)")
 _TRACKING = "tracking / dB"
 
 

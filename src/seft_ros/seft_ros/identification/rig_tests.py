@@ -194,7 +194,7 @@ class MeasuredTest:
             poor = measured.coherence[wanted] < _COHERENT
             if poor.mean() > 1.0 - _LEAST_SHARE:
                 bad = f[wanted][poor]
-                share = f"{poor.mean():.0%} of the frequencies"
+                share = f"{poor.mean() * 100:.0f} % of the frequencies"
                 low = f"coherence of the force on axis {name} is below {_COHERENT:g} at {share}"
                 band = f"from {bad[0]:.3g} to {bad[-1]:.3g} Hz"
                 return f"{low} {band}, too low to identify anything"

@@ -10,7 +10,6 @@ import os
 import threading
 from typing import Any
 
-import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.subscription import Subscription
 from seft_msgs_py.node.dds import DdsEndpoint
@@ -100,7 +99,7 @@ class Graph:
 
     def _serve_clients(self) -> None:
         try:
-            while not self._stopping and rclpy.ok():
+            while not self._stopping and self._node.context.ok():
                 self._executor.spin_once(timeout_sec=2.0)
         except (ExternalShutdownException, ShutdownException):
             return

@@ -253,7 +253,7 @@ class ForceControllerNode(NodeBody):
         share, watched = self._controller.off_target, f"detector {TRACKING.name}"
         status = Status("force_controller", OK, "ready", values={"phase": "ready"})
         if share >= WARNING:
-            text = f"{watched} came to {share:.0%} of its threshold"
+            text = f"{watched} came to {share * 100:.0f} % of its threshold"
             status = replace(status, level=WARN, message=text)
         if reason:
             status = tripped_status("force_controller", reason, step, self._waited)

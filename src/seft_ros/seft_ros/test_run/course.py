@@ -191,7 +191,7 @@ class Course:
         most, allowed = rig.number("most_missed") or 0, self._section[MISSED_SHARE]
         second = round(self._rate)
         if most / second > allowed and MISSED_SHARE not in self.machine.detail:
-            share = f"({most / second:.1%}; {MISSED_SHARE} allows {allowed:.1%})"
+            share = f"({most / second * 100:.1f} %; {MISSED_SHARE} allows {allowed * 100:.1f} %)"
             why = f"node {rig.name} missed {most} of {second} commands within a second {share}"
             self.machine.soft_trip(why, max((rig.number("steps") or 0) - 1, 0))
 
