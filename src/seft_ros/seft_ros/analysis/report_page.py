@@ -233,12 +233,12 @@ def _events(recording: Recording) -> Iterator[page.Block]:
     trip, events = recording.trip, recording.events
     if trip is not None:
         text = f"tripped at step {trip.step}, {trip.time_s:.3f} s: {trip.reason}"
-        yield TextTable((), [("interlock", Cell(text, Mark.BAD))], numbers=False)
+        yield TextTable((), [("interlock", Cell(text, Mark.BAD))], numbers=False, wide=True)
     if events:
         rows = [
             (f"{e.time_s:.3f} s", e.source, Cell(e.text, _MARKS.get(e.level, Mark.NONE)))
             for e in events
         ]
-        yield TextTable(("received", "from", "what"), rows, numbers=False)
+        yield TextTable(("received", "from", "what"), rows, numbers=False, wide=True)
     if trip is None and not events:
         yield Text("No trip, and the recording holds no states or warnings of nodes.")

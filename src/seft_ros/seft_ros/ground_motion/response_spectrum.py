@@ -161,6 +161,7 @@ def motion_figure(
     each axis. The figure is made without pyplot: save it with ``figure.savefig``.
     """
     from matplotlib.figure import Figure  # here: the monitor and reports need no figure
+    from matplotlib.ticker import LogLocator
 
     from seft_ros.drawing.style import REFERENCE, tidy
 
@@ -201,6 +202,7 @@ def motion_figure(
         title=f"response spectrum, {_DAMPING * 100:.0f} % damping",
     )
     spectra.set_ylim(bottom=0)
+    spectra.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     spectra.xaxis.set_major_formatter("{x:g}")
     tidy(spectra)
     if n > 1:

@@ -49,7 +49,7 @@ def study_texts(summary: Mapping[str, Any], title: str) -> Texts:
 
 
 def _table(summary: Mapping[str, Any]) -> TextTable:
-    return TextTable(_HEADINGS, [_row(result) for result in summary["results"]])
+    return TextTable(_HEADINGS, [_row(result) for result in summary["results"]], wide=True)
 
 
 def study_notes(summary: Mapping[str, Any]) -> list[str]:
@@ -146,7 +146,7 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
         for cause in result["causes"][:_CAUSES]
     ]
     headings = ("method", "mass ratio", "quantity", "its value", "its deviation", "explains")
-    blocks: list[Block] = [Text(text), TextTable(headings, causes, numbers=False)]
+    blocks: list[Block] = [Text(text), TextTable(headings, causes, numbers=False, wide=True)]
     motions = [
         [*_place(result), file, str(own["tests"]), *(_error(own[name]) for name in STUDY_QUANTILES)]
         for result in summary["results"]
@@ -155,7 +155,7 @@ def _dependence(summary: Mapping[str, Any]) -> list[Block]:
     ]
     if motions:
         by_motion = ("method", "mass ratio", "ground motion", "tests", *STUDY_QUANTILES)
-        blocks.append(TextTable(by_motion, motions, numbers=False))
+        blocks.append(TextTable(by_motion, motions, numbers=False, wide=True))
     return blocks
 
 
