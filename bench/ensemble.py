@@ -30,17 +30,18 @@ FOLDER = Path(__file__).parent.parent / "config"
 ROUNDS = 5
 TESTS = 96
 PIECE = 4  # tests on one thread at a time: short enough to be left alone by others
+PEER = "OpenSees, per-step loop"
 COMMON = [("reference_force", "mass_ratio", 0.5)]
 LINEAR = [("/**", "actuator.kind", "servo_hydraulic_linear")]
 YIELDS = [
     ("rig", "simulated.specimen.kind", "bouc_wen"),
     ("rig", "simulated.specimen.yield_displacement", 0.003),
 ]
-CASES = {  # configuration, overrides, steps/s wanted over those of the bare loop and of OpenSees
-    "linear servo-hydraulic rig": ("jhu.yaml", [*COMMON, *LINEAR], (2.0, 12.0)),
-    "nonlinear servo-hydraulic rig": ("jhu.yaml", COMMON, (1.5, 0.0)),
-    "the same, Bouc-Wen specimen": ("jhu.yaml", [*COMMON, *YIELDS], (1.0, 0.0)),
-    "the same, target_motion": ("demo.yaml", YIELDS, (0.6, 8.0)),
+CASES = {  # configuration, overrides, steps/s wanted over those of OpenSees; 0: none
+    "linear servo-hydraulic rig": ("jhu.yaml", [*COMMON, *LINEAR], 6.0),
+    "nonlinear servo-hydraulic rig": ("jhu.yaml", COMMON, 0.0),
+    "the same, Bouc-Wen specimen": ("jhu.yaml", [*COMMON, *YIELDS], 0.0),
+    "the same, target_motion": ("demo.yaml", YIELDS, 1.5),
 }
 
 
@@ -100,7 +101,7 @@ def main() -> int:
         run_ensemble(experiments[:2], reduced)  # compiled, or read from the disk
     loops = {"bare linear loop, plain floats": plain_steps_per_second}
     if ops is not None:
-        loops["OpenSees, per-step loop"] = opensees_steps_per_second
+        loops[PEER] = opensees_steps_per_second
     rounds: dict[str, list[float]] = {name: [] for name in loops}
     for _ in range(ROUNDS):  # interleaved: the machine's speed drifts
         for case, experiments in ensembles.items():
@@ -119,7 +120,8 @@ def main() -> int:
     print(f"{'':32s} {f'{workers} threads':>12s} {'one thread':>12s}")
     for case, found in speeds.items():
         line = f"{case:32s} {max(found):12,.0f} {max(single[case]):12,.0f}"
-        for floor, wanted in zip(floors.values(), CASES[case][2], strict=False):
+        for name, floor in floors.items():
+            wanted = CASES[case][2] if name == PEER else 0.0
             met &= max(found) >= wanted * floor
             line += f" {max(found) / floor:7.2f}" + (f" ({wanted:g})" if wanted else "")
         print(line)
