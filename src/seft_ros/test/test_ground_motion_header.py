@@ -234,3 +234,14 @@ def test_whole_numbers_with_a_factor_are_counts_whatever_the_unit(read, refuses,
     header = f"{words}\nunits: gal, dt=0.01\n"
     refuses("line 1: states the factor", header + "".join(f"{9000 * v:.0f}\n" for v in WAVE))
     assert stated(read(header + ONE_COLUMN)) == ("cm/s2", 0.01)
+
+
+@pytest.mark.parametrize(("offset", "refused"), [(0.0, False), (0.015, False), (0.1, True)])
+def test_an_offset_that_would_be_the_earthquake_is_refused(read, refuses, offset, refused):
+    time = 0.01 * np.arange(2000)
+    motion = np.sin(10 * time) * np.exp(-(((time - 6) / 3) ** 2))
+    text = "acc (m/s2), dt=0.01\n" + "".join(f"{value:.6f}\n" for value in motion + offset)
+    if refused:
+        refuses(r"has an offset of 0.1\d* m/s2, .*--correct offset", text)
+    corrected = read(text, corrected=refused).accelerations[:, 0]
+    np.testing.assert_allclose(corrected, motion + offset, atol=1e-6)

@@ -31,6 +31,9 @@ _OTHER = re.compile(
     r"(?<![a-z])(?:vel\w*|speed|displ?\w*|spectr\w*|fourier|p?s_?[avd]|arias|force)(?![a-z])", re.I
 )
 _UNEVEN = 0.01  # of a step
+HARMLESS_OFFSET = 0.02
+"""Mean over peak that any record may have: it moves no specimen by more than some 5 % of what the
+peak does, unless that hardly answers to the peak."""
 _FEWEST_TIMES = 10
 _LONGEST_STEP = 0.1  # s; records are sampled faster
 
@@ -213,7 +216,8 @@ class Columns:
         Raises
         ------
         InputError
-            If no sample reaches zero; if the header states peaks, and none is the column's.
+            If the mean is more than `HARMLESS_OFFSET` of the peak without it, and would move the
+            ground faster than all else; if the header states peaks, and none is the column's.
         """
         mean, largest = float(a.mean()), float(np.abs(a).max())
         moving, called = float(np.abs(a - mean).max()), self.called(column)
@@ -228,10 +232,11 @@ class Columns:
                 f"{self.path}: the largest acceleration in {called} is {largest:.4g} m/s2, but "
                 f"{stated.place} states a peak of {stated.size:.4g} m/s2, {mends}"
             )
-        if len(a) >= _FEWEST_TIMES and moving < abs(mean) and not corrected:
+        offset = abs(mean) > HARMLESS_OFFSET * moving and len(a) >= _FEWEST_TIMES
+        if offset and not corrected and abs(a.sum()) > np.ptp(np.cumsum(a - mean)):
             raise InputError(
-                f"{self.path}: {called} never reaches zero, with a mean of {mean:.4g} m/s2: it has "
-                f"an offset; {remedy}"
+                f"{self.path}: {called} has an offset of {mean:.4g} m/s2, with which the ground "
+                f"would move faster and faster; {remedy}"
             )
 
     def check_finite(self, column: int) -> None:
