@@ -285,7 +285,7 @@ def test_where_nothing_is_wrong_the_summary_names_neither_detectors_nor_estimate
 def test_a_figure_has_a_panel_for_each_estimate_and_axis():
     drawn = draw(estimating(("x", "y")), None)
     panels = np.array(drawn.axes).reshape(5, 2)
-    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ kN/m"]
+    assert [panel.get_ylabel() for panel in panels[3:, 0]] == ["delay\n/ ms", "stiffness\n/ (kN/m)"]
     (course,) = panels[4, 1].lines
     np.testing.assert_allclose(course.get_xdata(), [0.0, 0.1, 0.2])
     np.testing.assert_allclose(course.get_ydata(), STIFFNESS[:, 1] / 1e3)
