@@ -103,18 +103,20 @@ def inertia(
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
     laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
-    lost, found = round(half / dt), list[list[tuple[Floats, Floats]]]()
-    for part in (slice(0, len(x)), *parts):
-        within = slice(*(max(0, -(-(end - lost) // every)) for end in (part.start, part.stop)))
-        found.append([])
-        for length in WINDOWS:
-            size = max(n + 3, round(length / (frequency * dt * every)))
-            take = moving_windows(travel[within], size, STANDS_OUT * noise) + within.start
-            if len(take) < FEWEST_WINDOWS:
-                continue
-            projected = without_line([*own, seen, *laws], travel, take)
-            found[-1].append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
-    return [_relation(of_lengths, n) for of_lengths in found]
+    found = []
+    for length in WINDOWS:
+        size = max(n + 3, round(length / (frequency * dt * every)))
+        take = moving_windows(travel, size, STANDS_OUT * noise)
+        if len(take) < FEWEST_WINDOWS:
+            continue
+        middle = round(half / dt) + every * take[:, size // 2, np.newaxis]
+        within = np.array([(middle >= part.start) & (middle < part.stop) for part in parts])
+        if not len(parts) or within.sum(axis=1).min() < FEWEST_WINDOWS:
+            within = np.ones((1, len(take), 1))
+        projected = without_line([*own, seen, *laws], travel, take)
+        found.append(_fit(within, projected[: len(own)], *projected[len(own) :], share=share))
+    each = range(1 + len(parts))
+    return [_relation([of[j] for of in found if len(of) > max(1, j)], n) for j in each]
 
 
 def _relation(found: list[tuple[Floats, Floats]], n: int) -> channel_estimates.Relation | None:
@@ -166,11 +168,17 @@ def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.int
     return [(y := signal[take]) - q @ (across @ y) for signal in signals]
 
 
-def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple[Floats, Floats]:
-    """Fit Eq. (1) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
+def _fit(
+    within: Floats, own: list[Floats], seen: Floats, *laws: Floats, share: Floats
+) -> list[tuple[Floats, Floats]]:
+    """Fit Eq. (1) of all springs together, with one law in all parts of a test.
+
+    Gives (m, -m tau) and standard errors, shape (2n,), of all windows and of each part's.
 
     Parameters
     ----------
+    within : ndarray
+        Whether a window is in a part, shape (parts, w, 1).
     own : list of ndarray
         Force, inertial force and its rate of each axis, and the instruments of these two; shape
         (w, size, n), in windows.
@@ -183,53 +191,58 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
         Of each axis' forces in the equation of each spring, shape (n, n).
     """
     force, inertial, rate, instrument, of_rate = own
-    (windows, size, n), p = force.shape, seen.shape[2]
+    (windows, size, n), (*_, p), (*_, q) = force.shape, seen.shape, laws[0].shape
     equations, weights = [], []
     for spring, law in zip(share, laws, strict=True):
         size_of = np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300
-        law, target = law / size_of, (force @ spring)[..., np.newaxis]
-        instruments = (instrument * spring, of_rate * spring, law[..., :-p], seen / size_of[-p:])
-        parts = (*instruments, law[..., -p:], inertial * spring, rate * spring, target)
+        target = (force @ spring)[..., np.newaxis]
+        y, z = (
+            [one * spring * part[..., np.newaxis] for part in within for one in pair]
+            for pair in ((inertial, rate), (instrument, of_rate))
+        )
+        parts = law / size_of, *y, target, seen / size_of[-p:], *z
         equations.append(np.concatenate(parts, axis=2))
         weights.append(np.full(windows, 1.0 / np.mean(target**2)))
-    # instruments of the axes and of an equation's own law, its regressors, and those of the axes
-    last = equations[0].shape[2] - 1
-    axes, of_law = np.arange(2 * n), np.arange(2 * n, last - 2 * n - p)
-    law, inertias = np.append(of_law[:-p], of_law[-p:] + p), np.arange(last - 2 * n, last)
+    # the law's regressors, those of the axes, and the force; instruments of the axes, of the law
+    count, whole = 2 * n * len(within), np.tile(np.eye(2 * n), (len(within), 1))
+    its, forces, axes = np.s_[:q], np.s_[q : q + count + 1], np.s_[q + count + 1 + p :]
+    of_law = np.append(np.arange(q - p), q + count + 1 + np.arange(p))
+    results = list[tuple[Floats, Floats]]()
     try:
         for _ in range(_ROUNDS):
-            normal, right, solved, before = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), [], weights
+            normal, right, solved, before = np.zeros((count, count)), np.zeros(count), [], weights
             for columns, weight in zip(equations, weights, strict=True):
                 rooted = columns * np.sqrt(weight)[:, np.newaxis, np.newaxis]
-                rooted = rooted.reshape(-1, last + 1)
+                rooted = rooted.reshape(-1, columns.shape[2])
                 sums, ridge = rooted.T @ rooted, _RIDGE * size * weight.sum()
-                inverse = np.linalg.inv(sums[np.ix_(of_law, law)] + ridge * np.eye(len(law)))
-                used = len(law) - ridge * np.trace(inverse)
+                inverse = np.linalg.inv(sums[of_law, its] + ridge * np.eye(q))
+                used = q - ridge * np.trace(inverse)
                 # eliminate the law, which no other equation has
-                law_of = inverse @ sums[of_law, 2 * n + len(law) + p :]
-                onto = sums[np.ix_(axes, law)] @ inverse
-                both = sums[axes, last - 2 * n :] - onto @ sums[of_law, last - 2 * n :]
+                onto = sums[axes, its] @ inverse
+                both = sums[axes, forces] - onto @ sums[of_law, forces]
                 normal += both[:, :-1]
                 right += both[:, -1]
-                solved.append((law_of, onto))
-            found = np.append(-np.linalg.solve(normal, right), 1.0)
-            lefts = []
-            for columns, (law_of, _) in zip(equations, solved, strict=True):
-                of = np.zeros(last + 1)
-                of[inertias[0] :], of[law] = found, -law_of @ found
-                lefts.append(columns @ of)
-            weights = [_weights((left**2).mean(axis=1)) for left in lefts]
-        scores = np.zeros((windows, 2 * n))
-        for columns, (_, onto), left, weight in zip(equations, solved, lefts, before, strict=True):
-            beside = columns[..., axes] - columns[..., of_law] @ onto.T
-            scores += weight[:, np.newaxis] * (beside * left[..., np.newaxis]).sum(axis=1)
-        scores = np.linalg.solve(normal, scores.T).T
+                beside = columns[..., forces] - columns[..., its] @ (inverse @ sums[of_law, forces])
+                solved.append((onto, beside))
+            found = np.linalg.solve(whole.T @ normal @ whole, whole.T @ right)
+            of = np.append(-whole @ found, 1.0)
+            weights = [_weights(((beside @ of) ** 2).mean(axis=1)) for _, beside in solved]
+        # windows overlap by half, and each has its line
+        spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
+        for each in (whole, np.eye(count)):
+            inverse = np.linalg.inv(each.T @ normal @ each)
+            found, scores = inverse @ each.T @ right, np.zeros((windows, count))
+            of = np.append(-each @ found, 1.0)
+            for columns, (onto, beside), weight in zip(equations, solved, before, strict=True):
+                left = (beside @ of) * weight[:, np.newaxis]
+                z = columns[..., axes] - columns[..., of_law] @ onto.T
+                scores += (z * left[..., np.newaxis]).sum(axis=1)
+            spread = channel_estimates.summed_covariance(scores @ each @ inverse.T, MEMORY)
+            errors = np.sqrt(np.diag(spread) / spare)
+            results += zip(found.reshape(-1, 2 * n), errors.reshape(-1, 2 * n), strict=True)
     except np.linalg.LinAlgError:
-        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
-    # windows overlap by half, and each has its line
-    spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
-    error = np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)) / spare)
-    return -found[:-1], error
+        return [(np.full(2 * n, np.nan), np.full(2 * n, np.nan))] * (1 + len(within))
+    return results
 
 
 def _weights(variance: Floats) -> Floats:
