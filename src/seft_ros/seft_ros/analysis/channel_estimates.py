@@ -202,13 +202,13 @@ def _regressed(y: Floats, regressors: Floats, lags: int, of: Floats) -> tuple[Fl
     What is left is at least white noise, seen through the filter with the impulse response ``of``:
     where few cycles move most, the fit follows their noise, and correlated scores are too small.
     """
-    from scipy.signal import oaconvolve  # takes longer to import than a study's first test
-
     cut = np.linalg.inv(regressors.T @ regressors)
     b = cut @ (regressors.T @ y)
     left = y - regressors @ b
     scores = regressors * left[:, np.newaxis]
-    passed = oaconvolve(regressors, of[:, np.newaxis], axes=0) / _size(of)
+    size = next_fast_len(len(y) + len(of), real=True)
+    passed = rfft(regressors, size, axis=0) * rfft(of / _size(of), size)[:, np.newaxis]
+    passed = irfft(passed, size, axis=0)
     white = cut @ (np.mean(left**2) * passed.T @ passed) @ cut
     correlated = cut @ summed_covariance(scores, lags) @ cut
     return b, np.sqrt(np.maximum(correlated.diagonal(), white.diagonal()))
