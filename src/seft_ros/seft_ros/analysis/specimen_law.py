@@ -49,11 +49,10 @@ from seft_ros.analysis.channel_estimates import noise_of, summed_covariance, wit
 from seft_ros.analysis.metrics import ratio
 from seft_ros.reference_force.stop_operators import move_stop, stop_operators
 
-STOPS, EVEN, ROUND, CORNERS = 24, 95, 12, 40
+SHARP, ROUND, CORNERS = 24, 12, 40
 """Stop operators with a corner, those of each roundness, and corners of the curve of a
 spring: from noise to most of its deformation, and so close that a corner of the law is within a
 hundredth of it."""
-SHARP = STOPS + EVEN
 STOP_OPERATORS = SHARP + 3 * ROUND
 _POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [SHARP, ROUND, ROUND, ROUND])  # n of each; 0: a corner
 _NEXT = 1.4  # threshold of a round one over that of the next, up to the largest deformation
@@ -67,7 +66,7 @@ _PARTS = 16  # of a test, in the first and last of which no step begins
 MODES = 10
 """Cosines of Eq. (1)."""
 _SLOW = 3  # of them, in which a drift may be
-_CORNERS = 30  # of a curve beside a drift
+_STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is within its noise
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 _DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
@@ -127,7 +126,7 @@ class SpecimenLaw:
         self._springs = np.ascontiguousarray(deformation)
         self.deformation, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
         low, high = self.deformation.min(axis=0), self.deformation.max(axis=0)
-        self._thresholds = _thresholds(self.deformation, self.noise, 0.7)
+        self._thresholds = _thresholds(self.deformation, self.noise, SHARP, 0.7)
         self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
@@ -207,17 +206,16 @@ class SpecimenLaw:
         return ratio(moved_rms, whole_rms)
 
 
-def _thresholds(e: Floats, noise: Floats, highest: float) -> Floats:
+def _thresholds(e: Floats, noise: Floats, sharp: int, highest: float) -> Floats:
     """Thresholds of stop operators, of the sharp ones from noise to a share of each deformation.
 
     Shape (p, sharp + 3 ROUND).
     """
     largest = np.maximum(np.abs(e).max(axis=0), 1e-300)
     least = np.maximum(noise, largest / 1000)
-    each = np.geomspace(least, highest * largest, STOPS).T
-    even = np.linspace(0.0, highest * largest, EVEN + 2)[1:-1].T
+    each = np.geomspace(least, highest * largest, sharp).T
     rounded = largest[:, np.newaxis] * _NEXT ** np.arange(1.0 - ROUND, 1.0)
-    return np.hstack([even, each, rounded, rounded, rounded])
+    return np.hstack([each, rounded, rounded, rounded])
 
 
 def _regressors(stops: Floats, place: Floats, corners: int, *linear: Floats) -> Floats:
@@ -243,8 +241,10 @@ def fine_law(deformation: Floats, noise: float) -> Floats:
     noise : float
         RMS, m.
     """
-    (thresholds,) = _thresholds(deformation[:, np.newaxis], np.array([noise]), 1.0)
-    stops = stop_operators(deformation, thresholds, _POWERS) / thresholds
+    (thresholds,) = _thresholds(deformation[:, np.newaxis], np.array([noise]), _STOPS, 1.0)
+    thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
+    powers = np.append(np.zeros(len(thresholds) - 3 * ROUND), _POWERS[SHARP:])
+    stops = stop_operators(deformation, thresholds, powers) / thresholds
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
     size = np.sqrt(np.mean(deformation**2)) + 1e-300
     return _regressors(stops, place, _CORNERS, deformation / size)
