@@ -210,7 +210,7 @@ def _fit(
     results = list[tuple[Floats, Floats]]()
     try:
         for _ in range(_ROUNDS):
-            normal, right, solved, before = np.zeros((count, count)), np.zeros(count), [], weights
+            total, solved, before = np.zeros((count, count + 1)), [], weights
             for columns, weight in zip(equations, weights, strict=True):
                 rooted = columns * np.sqrt(weight)[:, np.newaxis, np.newaxis]
                 rooted = rooted.reshape(-1, columns.shape[2])
@@ -219,14 +219,15 @@ def _fit(
                 used = q - ridge * np.trace(inverse)
                 # eliminate the law, which no other equation has
                 onto = sums[axes, its] @ inverse
-                both = sums[axes, forces] - onto @ sums[of_law, forces]
-                normal += both[:, :-1]
-                right += both[:, -1]
+                total += sums[axes, forces] - onto @ sums[of_law, forces]
                 beside = columns[..., forces] - columns[..., its] @ (inverse @ sums[of_law, forces])
                 solved.append((onto, beside))
-            found = np.linalg.solve(whole.T @ normal @ whole, whole.T @ right)
-            of = np.append(-whole @ found, 1.0)
-            weights = [_weights(((beside @ of) ** 2).mean(axis=1)) for _, beside in solved]
+            normal, right = total[:, :-1], total[:, -1]
+            found = whole @ np.linalg.solve(whole.T @ normal @ whole, whole.T @ right)
+            lefts = [beside @ np.append(-found, 1.0) for _, beside in solved]
+            variance = np.stack([(left**2).mean(axis=1) for left in lefts])
+            least = np.maximum(np.quantile(variance, 0.1, axis=1, keepdims=True), 1e-300)
+            weights = [*(np.maximum(variance, least) / least) ** -WEIGHT_POWER / least]
         # windows overlap by half, and each has its line
         spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
         for each in (whole, np.eye(count)):
@@ -243,9 +244,3 @@ def _fit(
     except np.linalg.LinAlgError:
         return [(np.full(2 * n, np.nan), np.full(2 * n, np.nan))] * (1 + len(within))
     return results
-
-
-def _weights(variance: Floats) -> Floats:
-    """Give the weights of windows with such residuals."""
-    least = max(float(np.quantile(variance, 0.1)), 1e-300)
-    return (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
