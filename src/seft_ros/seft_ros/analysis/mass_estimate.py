@@ -11,9 +11,10 @@ deformations (see `seft_ros.analysis.specimen_law`). Noise of the acceleration w
 estimate too small; the derivative of the velocity, which has other noise, serves as an instrument
 (Reiersol 1945). So do the velocities for the dampers' rates, which are derived from the
 displacement: noise of one channel in both would be taken for mass, 3 % on three storeys. Windows in
-which the specimen is not described so well weigh less. Standard errors are those of correlated
-residuals (Newey & West 1987), which a law of many parameters makes smaller than the noise: over the
-degrees of freedom that it leaves (MacKinnon & White 1985).
+which the specimen is not described so well weigh less. Parts of a test share its law, which all of
+it tells better; each has its own mass and lag. Standard errors are those of correlated residuals
+(Newey & West 1987), which a law of many parameters makes smaller than the noise: over the degrees
+of freedom that it leaves (MacKinnon & White 1985).
 """
 
 from collections.abc import Sequence
