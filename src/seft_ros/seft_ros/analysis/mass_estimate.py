@@ -11,10 +11,9 @@ deformations (see `seft_ros.analysis.specimen_law`). Noise of the acceleration w
 estimate too small; the derivative of the velocity, which has other noise, serves as an instrument
 (Reiersol 1945). So do the velocities for the dampers' rates, which are derived from the
 displacement: noise of one channel in both would be taken for mass, 3 % on three storeys. Windows in
-which the specimen is not described so well weigh less. Parts of a test share its law, which all of
-it tells better; each has its own mass and lag. Standard errors are those of correlated residuals
-(Newey & West 1987), which a law of many parameters makes smaller than the noise: over the degrees
-of freedom that it leaves (MacKinnon & White 1985).
+which the specimen is not described so well weigh less. Standard errors are those of correlated
+residuals (Newey & West 1987), which a law of many parameters makes smaller than the noise: over the
+degrees of freedom that it leaves (MacKinnon & White 1985).
 """
 
 from collections.abc import Sequence
@@ -104,20 +103,19 @@ def inertia(
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
     laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
-    found = []
+    parts = (slice(0, len(x)), *parts)
+    found = [list[tuple[Floats, Floats]]() for _ in parts]
     for length in WINDOWS:
         size = max(n + 3, round(length / (frequency * dt * every)))
         take = moving_windows(travel, size, STANDS_OUT * noise)
-        if len(take) < FEWEST_WINDOWS:
-            continue
-        middle = round(half / dt) + every * take[:, size // 2, np.newaxis]
-        within = np.array([(middle >= part.start) & (middle < part.stop) for part in parts])
-        if not len(parts) or within.sum(axis=1).min() < FEWEST_WINDOWS:
-            within = np.ones((1, len(take), 1))
         projected = without_line([*own, seen, *laws], travel, take)
-        found.append(_fit(within, projected[: len(own)], *projected[len(own) :], share=share))
-    each = range(1 + len(parts))
-    return [_relation([of[j] for of in found if len(of) > max(1, j)], n) for j in each]
+        first, last = round(half / dt) + every * take.T[[0, -1]]
+        for of_part, part in zip(found, parts, strict=True):
+            inside = (first >= part.start) & (last < part.stop)
+            if inside.sum() >= FEWEST_WINDOWS:
+                chosen = [y if inside.all() else y[inside] for y in projected]
+                of_part.append(_fit(chosen[: len(own)], *chosen[len(own) :], share=share))
+    return [_relation(of_part, n) for of_part in found]
 
 
 def _relation(found: list[tuple[Floats, Floats]], n: int) -> channel_estimates.Relation | None:
@@ -169,17 +167,11 @@ def without_line(signals: list[Floats], travel: Floats, take: npt.NDArray[np.int
     return [(y := signal[take]) - q @ (across @ y) for signal in signals]
 
 
-def _fit(
-    within: Floats, own: list[Floats], seen: Floats, *laws: Floats, share: Floats
-) -> list[tuple[Floats, Floats]]:
-    """Fit Eq. (1) of all springs together, with one law in all parts of a test.
-
-    Gives (m, -m tau) and standard errors, shape (2n,), of all windows and of each part's.
+def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple[Floats, Floats]:
+    """Fit Eq. (1) of all springs together; give (m, -m tau) and standard errors, shape (2n,).
 
     Parameters
     ----------
-    within : ndarray
-        Whether a window is in a part, shape (parts, w, 1).
     own : list of ndarray
         Force, inertial force and its rate of each axis, and the instruments of these two; shape
         (w, size, n), in windows.
@@ -191,27 +183,20 @@ def _fit(
     share : ndarray
         Of each axis' forces in the equation of each spring, shape (n, n).
     """
-    force, inertial, rate, instrument, of_rate = own
-    (windows, size, n), (*_, p), (*_, q) = force.shape, seen.shape, laws[0].shape
+    (windows, size, n), (*_, p), (*_, q) = own[0].shape, seen.shape, laws[0].shape
     equations, weights = [], []
     for spring, law in zip(share, laws, strict=True):
         size_of = np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300
-        target = (force @ spring)[..., np.newaxis]
-        y, z = (
-            [one * spring * part[..., np.newaxis] for part in within for one in pair]
-            for pair in ((inertial, rate), (instrument, of_rate))
-        )
-        parts = law / size_of, *y, target, seen / size_of[-p:], *z
+        target, *y = (own[0] @ spring)[..., np.newaxis], *(one * spring for one in own[1:])
+        parts = law / size_of, *y[:2], target, seen / size_of[-p:], *y[2:]
         equations.append(np.concatenate(parts, axis=2))
         weights.append(np.full(windows, 1.0 / np.mean(target**2)))
     # the law's regressors, those of the axes, and the force; instruments of the axes, of the law
-    count, whole = 2 * n * len(within), np.tile(np.eye(2 * n), (len(within), 1))
-    its, forces, axes = np.s_[:q], np.s_[q : q + count + 1], np.s_[q + count + 1 + p :]
-    of_law = np.append(np.arange(q - p), q + count + 1 + np.arange(p))
-    results = list[tuple[Floats, Floats]]()
+    its, forces, axes = np.s_[:q], np.s_[q : q + 2 * n + 1], np.s_[q + 2 * n + 1 + p :]
+    of_law = np.append(np.arange(q - p), q + 2 * n + 1 + np.arange(p))
     try:
         for _ in range(_ROUNDS):
-            total, solved, before = np.zeros((count, count + 1)), [], weights
+            total, solved, before = np.zeros((2 * n, 2 * n + 1)), [], weights
             for columns, weight in zip(equations, weights, strict=True):
                 rooted = columns * np.sqrt(weight)[:, np.newaxis, np.newaxis]
                 rooted = rooted.reshape(-1, columns.shape[2])
@@ -223,25 +208,18 @@ def _fit(
                 total += sums[axes, forces] - onto @ sums[of_law, forces]
                 beside = columns[..., forces] - columns[..., its] @ (inverse @ sums[of_law, forces])
                 solved.append((onto, beside))
-            normal, right = total[:, :-1], total[:, -1]
-            found = whole @ np.linalg.solve(whole.T @ normal @ whole, whole.T @ right)
+            found = np.linalg.solve(total[:, :-1], total[:, -1])
             lefts = [beside @ np.append(-found, 1.0) for _, beside in solved]
             variance = np.stack([(left**2).mean(axis=1) for left in lefts])
             least = np.maximum(np.quantile(variance, 0.1, axis=1, keepdims=True), 1e-300)
             weights = [*(np.maximum(variance, least) / least) ** -WEIGHT_POWER / least]
-        # windows overlap by half, and each has its line
-        spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
-        for each in (whole, np.eye(count)):
-            inverse = np.linalg.inv(each.T @ normal @ each)
-            found, scores = inverse @ each.T @ right, np.zeros((windows, count))
-            of = np.append(-each @ found, 1.0)
-            for columns, (onto, beside), weight in zip(equations, solved, before, strict=True):
-                left = (beside @ of) * weight[:, np.newaxis]
-                z = columns[..., axes] - columns[..., of_law] @ onto.T
-                scores += (z * left[..., np.newaxis]).sum(axis=1)
-            spread = channel_estimates.summed_covariance(scores @ each @ inverse.T, MEMORY)
-            errors = np.sqrt(np.diag(spread) / spare)
-            results += zip(found.reshape(-1, 2 * n), errors.reshape(-1, 2 * n), strict=True)
+        scores = np.zeros((windows, 2 * n))
+        for columns, (onto, _), left, weight in zip(equations, solved, lefts, before, strict=True):
+            z = columns[..., axes] - columns[..., of_law] @ onto.T
+            scores += (z * (left * weight[:, np.newaxis])[..., np.newaxis]).sum(axis=1)
+        scores = np.linalg.solve(total[:, :-1], scores.T).T
     except np.linalg.LinAlgError:
-        return [(np.full(2 * n, np.nan), np.full(2 * n, np.nan))] * (1 + len(within))
-    return results
+        return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
+    # windows overlap by half, and each has its line
+    spare = max(0.1, 1.0 - (n + 1) / size - used / (0.5 * windows * size))
+    return found, np.sqrt(np.diag(channel_estimates.summed_covariance(scores, MEMORY)) / spare)
