@@ -103,18 +103,16 @@ def inertia(
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
     laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
-    parts = (slice(0, len(x)), *parts)
-    found = [list[tuple[Floats, Floats]]() for _ in parts]
-    for length in WINDOWS:
-        size = max(n + 3, round(length / (frequency * dt * every)))
-        take = moving_windows(travel, size, STANDS_OUT * noise)
-        projected = without_line([*own, seen, *laws], travel, take)
-        first, last = round(half / dt) + every * take.T[[0, -1]]
-        for of_part, part in zip(found, parts, strict=True):
-            inside = (first >= part.start) & (last < part.stop)
-            if inside.sum() >= FEWEST_WINDOWS:
-                chosen = [y if inside.all() else y[inside] for y in projected]
-                of_part.append(_fit(chosen[: len(own)], *chosen[len(own) :], share=share))
+    lost, found = round(half / dt), list[list[tuple[Floats, Floats]]]()
+    for part in (slice(0, len(x)), *parts):
+        within = slice(*(max(0, -(-(end - lost) // every)) for end in (part.start, part.stop)))
+        found.append([])
+        for length in WINDOWS:
+            size = max(n + 3, round(length / (frequency * dt * every)))
+            take = moving_windows(travel[within], size, STANDS_OUT * noise) + within.start
+            if len(take) >= FEWEST_WINDOWS:
+                projected = without_line([*own, seen, *laws], travel, take)
+                found[-1].append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
     return [_relation(of_part, n) for of_part in found]
 
 
