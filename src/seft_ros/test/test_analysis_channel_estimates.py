@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from seft_ros.analysis.channel_estimates import motion_frequency, relation, with_motion
+from seft_ros.analysis.channel_estimates import motion_frequency, noise_of, relation, with_motion
 from seft_ros.analysis.mass_estimate import inertia
+from seft_ros.analysis.specimen_law import fine_law
 
 DT, MASS = 0.002, 40.0
 NOISE = np.array([3e-6, 5e-4, 0.03, 2.0])  # m, m/s, m/s^2, N
@@ -37,9 +38,13 @@ def samples(*, lag=(0.0,) * 4, scale=(1.0,) * 4, seconds=16.0, size=1.0, seed=1)
     return (exact + NOISE * rng.standard_normal(exact.shape))[:, :, np.newaxis]
 
 
-def estimate(y, known=MASS):
-    """Mass over the known one, of one axis."""
-    return inertia(y, np.array([[known]]), np.eye(1), DT, motion_frequency(y))
+def estimate(y, known=MASS, mass=None, deformation=None):
+    """Mass over the known one, of one axis or several."""
+    mass = np.array([[known]]) if mass is None else mass
+    springs = np.eye(len(mass)) if deformation is None else deformation
+    moved = (y[:, 0] @ springs.T).T
+    laws = [fine_law(e, noise_of(e[:, np.newaxis])[0]) for e in moved]
+    return inertia(y, mass, springs, laws, DT, motion_frequency(y))[0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -129,7 +134,7 @@ def test_masses_of_a_frame_are_found_by_the_equations_of_its_storeys():
     y[:, :3, 0], y[:, :3, 1] = one[:, :3, 0], one[:, :3, 0] + two[:, :3, 0]
     storeys = np.stack([each[:, 3, 0] - MASS * each[:, 2, 0] for each in (one, two)], axis=1)
     y[:, 3] = storeys @ deformation + np.array([30.0, 50.0]) * y[:, 2]
-    found = inertia(y, np.diag([33.0, 50.0]), deformation, DT, motion_frequency(y))
+    found = estimate(y, mass=np.diag([33.0, 50.0]), deformation=deformation)
     assert found.scale == pytest.approx([30 / 33, 1.0], abs=0.01)
     assert (np.abs(found.scale - [30 / 33, 1.0]) < 4 * found.scale_error).all()
 

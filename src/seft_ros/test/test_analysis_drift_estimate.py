@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from seft_plant_sim.calibration import SIGNIFICANT
 from seft_ros.analysis.channel_estimates import acceleration_zero
-from seft_ros.analysis.specimen_law import force_drift
+from seft_ros.analysis.specimen_law import fine_law, force_drift
 
 DT, COUNT = 0.002, 6000
 
@@ -52,7 +52,8 @@ def test_a_zero_of_the_force_that_moves_is_told_from_the_law(kind, moved, how):
     slowly, ramp = 0.5 - 0.5 * np.cos(np.pi * k / COUNT), np.maximum(k - 2439, 0) / (COUNT - 2439)
     shape = {"slowly": slowly, "at once": k >= 2439, "from then on": ramp}[how]
     force = law + 300.0 * v + moved * shape + noise(4.0, 2)
-    found, error, fitted = force_drift(x + noise(5e-6, 3), np.column_stack([v, a]), force, 2e-5)
+    fine = fine_law(x + noise(5e-6, 3), 2e-5)
+    found, error, fitted = force_drift(fine, np.column_stack([v, a]), force)
     assert (abs(found) > SIGNIFICANT * error) is (moved > 0.0)
     assert found * moved >= 0.0
     if how != "slowly":

@@ -9,6 +9,7 @@ from seft_ros.analysis.metrics import nrmse
 from seft_ros.reference_force import restoring_model as models
 from seft_ros.reference_force.observers import observe, observer_gains
 from seft_ros.reference_force.reference_force_block import method_inputs
+from seft_ros.reference_force.stop_operators import stop_operators
 from seft_ros.reference_force.target_motion import TargetMotion, spring_deformations
 from seft_ros.test_run.blocks import build_blocks
 
@@ -104,7 +105,7 @@ def test_stop_operators_turn_where_the_specimen_does_between_its_samples():
     fine = np.arange(0.0, 0.6, 2e-5)
     y = compensation.state.model.thresholds[0, 8]
     x, v = 5.0 * y * np.sin(37.0 * fine), 185.0 * y * np.cos(37.0 * fine)
-    stops = models.stop_operators(x, np.array([y]))[:, 0]
+    stops = stop_operators(x, np.array([y]))[:, 0]
     off = []
     for k in range(0, len(fine), 200):
         sample = np.array([[x[k]], [v[k]], [-(37.0**2) * x[k]], [0.0]])
@@ -225,8 +226,7 @@ def test_noise_at_rest_does_not_soften_what_sticks():
     """After slips of 2 mm it sticks for 16 s, while the displacement has noise."""
     t, sticks, rng = 0.002 * np.arange(9000), 9.5e6, np.random.default_rng(5)
     true = 0.002 * np.sin(40.0 * np.minimum(t, 1.9)) + 1e-6 * np.sin(60.0 * t)
-    v, stops, slips = np.gradient(true, 0.002), np.zeros((len(t), 1)), np.array([2e-5])
-    models.slide(true, slips, stops)
+    v, stops = np.gradient(true, 0.002), stop_operators(true, np.array([2e-5]))
     x, rate = (of + rng.normal(0.0, noise, 9000) for of, noise in ((true, 2.6e-6), (v, 4.5e-4)))
     parameters, state, _ = followed(K * true + 800.0 * v + sticks * stops[:, 0], x, rate)
     state.stops[0] = 0.0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from seft_ros.reference_force import restoring_model as models
+from seft_ros.reference_force.stop_operators import stop_operators
 from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, STAGE, may_begin
 from test_target_motion import K, followed
 
@@ -12,7 +13,7 @@ T = 0.002 * np.arange(3000)
 
 def bilinear(x, v):
     """Restoring force of a specimen that yields."""
-    stop = models.stop_operators(x, np.array([YIELDS]))[:, 0]
+    stop = stop_operators(x, np.array([YIELDS]))[:, 0]
     return K * (HARDENS * x + (1.0 - HARDENS) * stop) + 800.0 * v
 
 

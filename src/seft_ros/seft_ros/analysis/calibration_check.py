@@ -23,7 +23,7 @@ from seft_ros.analysis.assessment import UNTOLD
 from seft_ros.analysis.channel_estimates import Relation
 from seft_ros.analysis.equivalent_motion import EquivalentMotion, assumed_structure
 from seft_ros.analysis.mass_estimate import ALIKE_SPRINGS, inertia
-from seft_ros.analysis.specimen_law import SpecimenLaw, force_drift, springs_of
+from seft_ros.analysis.specimen_law import SpecimenLaw, fine_law, force_drift, springs_of
 from seft_ros.bags.recording import Recording, every_step
 from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.ground_motion.ground_motion_block import GroundMotion
@@ -69,7 +69,12 @@ class CalibrationEffect:
         self._motion = equivalent.advance(samples)
         self._part = slice(None)
         self._law = SpecimenLaw(self._whole, self.mass, samples, self.springs, dt)
-        self.deformation = self._law.deformation
+
+    def laws(self) -> list[Floats]:
+        """Give the regressors of the force of each spring, see `fine_law`."""
+        return [
+            fine_law(*one) for one in zip(self._law.deformation.T, self._law.noise, strict=True)
+        ]
 
     def within(self, part: slice) -> "CalibrationEffect":
         """Give the same for deviations that are there in these samples alone."""
@@ -243,12 +248,13 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     identified, untrue = (per_axis(e, axes, f"/**: {n}") for e, n in zip(known, names, strict=True))
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
-        own = inertia(samples, effect.mass, effect.springs, dt, frequency)
+        halves, laws = _halves(samples), effect.laws()
+        of_specimen = effect.mass, effect.springs, laws
+        own, *of_halves = inertia(samples, *of_specimen, dt, frequency, [*halves.values()])
         before = _known_inertia(experiment, effect.mass)
         own = _combined(own, before)
         relations = list(_relations(experiment, samples, frequency))
-        halves = _halves(samples)
-        in_parts += _drifts(effect, samples, dt, halves, axes)
+        in_parts += _drifts(effect, laws, samples, dt, halves, axes)
         if own is not None:
             means["unsure"] = effect.of_mass(1.0 + SIGNIFICANT * own.scale_error)
             if np.isfinite(own.lag_error).all():
@@ -260,8 +266,7 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
         if "acceleration_range" in recording.saturation:
             means["clipped"] = effect.of_zero(np.zeros(len(axes)), -_beyond_range(samples, dt))
         found += _deviations(effect, own, relations, axes)
-        for name, half in halves.items():
-            own = inertia(samples[half], effect.mass, effect.springs, dt, frequency)
+        for (name, half), own in zip(halves.items(), of_halves, strict=True):
             relations = list(_relations(experiment, samples[half], frequency))
             for one in _deviations(effect.within(half), own, relations, axes):
                 in_parts += [replace(one, part=name)] if one.effect else []
@@ -376,6 +381,7 @@ def _at_most(
 
 def _drifts(
     effect: CalibrationEffect,
+    laws: list[Floats],
     samples: Floats,
     dt: float,
     halves: dict[str, slice],
@@ -394,8 +400,7 @@ def _drifts(
         return
     f, inertias = (y @ np.linalg.inv(springs) for y in (f, a @ effect.mass.T))
     others = np.stack([v @ springs.T, inertias], axis=2)
-    noise = channel_estimates.noise_of(x @ springs.T)
-    every = zip(effect.deformation.T, others.swapaxes(0, 1), (f - inertias).T, noise, strict=True)
+    every = zip(laws, others.swapaxes(0, 1), (f - inertias).T, strict=True)
     fits = [force_drift(*one) for one in every]
     moved, errors, shapes = (np.stack(each, axis=-1) for each in zip(*fits, strict=True))
     of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)

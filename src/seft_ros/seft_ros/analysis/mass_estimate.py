@@ -16,12 +16,13 @@ residuals (Newey & West 1987), which a law of many parameters makes smaller than
 degrees of freedom that it leaves (MacKinnon & White 1985).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from seft_msgs_py.arrays import Floats
 
 from seft_ros.analysis import channel_estimates
-from seft_ros.analysis.specimen_law import fine_law
 from seft_ros.reference_force.yield_corner import STANDS_OUT
 
 INERTIA_BAND = 8.0
@@ -51,9 +52,15 @@ _RIDGE = 1e-6  # of the law's regressors, which may be alike
 
 
 def inertia(
-    states: Floats, mass: Floats, deformation: Floats, dt: float, frequency: float
-) -> channel_estimates.Relation | None:
-    """Estimate the mass from a test's own samples, Eq. (1).
+    states: Floats,
+    mass: Floats,
+    deformation: Floats,
+    laws: list[Floats],
+    dt: float,
+    frequency: float,
+    parts: Sequence[slice] = (),
+) -> list[channel_estimates.Relation | None]:
+    """Estimate the mass from a test's own samples, and from parts of it, Eq. (1).
 
     Parameters
     ----------
@@ -63,25 +70,26 @@ def inertia(
         M, shape (n, n), kg.
     deformation : ndarray
         Of each spring per displacement of each axis, shape (p, n).
+    laws : list of ndarray
+        Regressors of the force of each spring, see `fine_law`.
     frequency : float
         Of the motion, Hz.
+    parts : sequence of slice
+        The parts.
 
     Returns
     -------
-    Relation or None
+    list of Relation or None
         None if too few windows move by more than the noise, or the regressors are alike.
     """
     x, v, a, f = np.moveaxis(states, 1, 0)
     top = min(INERTIA_BAND * frequency, channel_estimates.OF_SAMPLING / dt)
     half = 3.5 / top
     if len(x) < 6 * half / dt:
-        return None
+        return [None] * (1 + len(parts))
     every = max(1, int(0.4 / (top * dt)))  # no higher frequency is left
     band, noise = (0.0, top), channel_estimates.noise_of(x)
     by_spring, n = x @ deformation.T, x.shape[1]
-    noises = channel_estimates.noise_of(by_spring)
-    moved = channel_estimates.with_motion(states, channel_estimates.noise_of(states), dt)[:, 0]
-    laws = [fine_law(*one) for one in zip((moved @ deformation.T).T, noises, strict=True)]
     share = np.eye(n)
     if len(deformation) == n and np.linalg.cond(deformation) < ALIKE_SPRINGS:
         share = np.linalg.inv(deformation).T  # the equation of a spring, of its own law alone
@@ -95,14 +103,21 @@ def inertia(
     (travel,) = filtered(x, 0)
     (rates,), (seen,) = filtered(by_spring, 1), filtered(v @ deformation.T, 0)
     laws = [np.hstack([*filtered(law, 0), rates]) for law in laws]
-    found = []
-    for length in WINDOWS:
-        size = max(n + 3, round(length / (frequency * dt * every)))
-        take = moving_windows(travel, size, STANDS_OUT * noise)
-        if len(take) < FEWEST_WINDOWS:
-            continue
-        projected = without_line([*own, seen, *laws], travel, take)
-        found.append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
+    lost, found = round(half / dt), list[list[tuple[Floats, Floats]]]()
+    for part in (slice(0, len(x)), *parts):
+        within = slice(*(max(0, -(-(end - lost) // every)) for end in (part.start, part.stop)))
+        found.append([])
+        for length in WINDOWS:
+            size = max(n + 3, round(length / (frequency * dt * every)))
+            take = moving_windows(travel[within], size, STANDS_OUT * noise) + within.start
+            if len(take) >= FEWEST_WINDOWS:
+                projected = without_line([*own, seen, *laws], travel, take)
+                found[-1].append(_fit(projected[: len(own)], *projected[len(own) :], share=share))
+    return [_relation(of_part, n) for of_part in found]
+
+
+def _relation(found: list[tuple[Floats, Floats]], n: int) -> channel_estimates.Relation | None:
+    """Give the median of what windows of each length have found."""
     if len(found) < 2:
         return None
     each = np.array(found).reshape(-1, 2, 2, n)  # length, (value, error), (m, -m tau), axis
@@ -166,44 +181,41 @@ def _fit(own: list[Floats], seen: Floats, *laws: Floats, share: Floats) -> tuple
     share : ndarray
         Of each axis' forces in the equation of each spring, shape (n, n).
     """
-    force, inertial, rate, instrument, of_rate = own
-    (windows, size, n), rates = force.shape, slice(-seen.shape[2], None)
-    equations = []
+    (windows, size, n), (*_, p), (*_, q) = own[0].shape, seen.shape, laws[0].shape
+    equations, weights = [], []
     for spring, law in zip(share, laws, strict=True):
         size_of = np.sqrt((law**2).mean(axis=(0, 1))) + 1e-300
-        law = law / size_of
-        regressors = np.concatenate([inertial * spring, rate * spring, law], axis=2)
-        z = np.concatenate([instrument * spring, of_rate * spring, law], axis=2)
-        z[..., rates] = seen / size_of[rates]
-        target = force @ spring
-        equations.append((target, regressors, z, np.full(windows, 1.0 / np.mean(target**2))))
-    axes, its = slice(2 * n), slice(2 * n, None)  # columns of every equation, and of its own law
+        target, *y = (own[0] @ spring)[..., np.newaxis], *(one * spring for one in own[1:])
+        parts = law / size_of, *y[:2], target, seen / size_of[-p:], *y[2:]
+        equations.append(np.concatenate(parts, axis=2))
+        weights.append(np.full(windows, 1.0 / np.mean(target**2)))
+    # the law's regressors, those of the axes, and the force; instruments of the axes, of the law
+    its, forces, axes = np.s_[:q], np.s_[q : q + 2 * n + 1], np.s_[q + 2 * n + 1 + p :]
+    of_law = np.append(np.arange(q - p), q + 2 * n + 1 + np.arange(p))
     try:
         for _ in range(_ROUNDS):
-            normal, right, solved = np.zeros((2 * n, 2 * n)), np.zeros(2 * n), []
-            for target, regressors, z, weights in equations:
-                weighted = (z * weights[:, np.newaxis, np.newaxis]).reshape(-1, z.shape[2])
-                sums = weighted.T @ regressors.reshape(weighted.shape)
-                answer = weighted.T @ target.ravel()
-                of_law, ridge = sums[its, its], _RIDGE * size * weights.sum()
-                of_law[np.diag_indices(len(of_law))] += ridge
-                used = len(of_law) - ridge * np.trace(np.linalg.inv(of_law))
+            total, solved, before = np.zeros((2 * n, 2 * n + 1)), [], weights
+            for columns, weight in zip(equations, weights, strict=True):
+                rooted = columns * np.sqrt(weight)[:, np.newaxis, np.newaxis]
+                rooted = rooted.reshape(-1, columns.shape[2])
+                sums, ridge = rooted.T @ rooted, _RIDGE * size * weight.sum()
+                inverse = np.linalg.inv(sums[of_law, its] + ridge * np.eye(q))
+                used = q - ridge * np.trace(inverse)
                 # eliminate the law, which no other equation has
-                law_of = np.linalg.solve(of_law, np.column_stack([answer[its], sums[its, axes]]))
-                onto = np.linalg.solve(of_law.T, sums[axes, its].T)
-                normal += sums[axes, axes] - onto.T @ sums[its, axes]
-                right += answer[axes] - onto.T @ answer[its]
-                solved.append((law_of, onto))
-            found, scores = np.linalg.solve(normal, right), np.zeros((windows, 2 * n))
-            for equation, (law_of, onto) in zip(equations, solved, strict=True):
-                target, regressors, z, weights = equation
-                left = target - regressors @ np.append(found, law_of @ np.append(1.0, -found))
-                moments = (z.transpose(0, 2, 1) @ left[:, :, np.newaxis])[:, :, 0]
-                scores += weights[:, np.newaxis] * (moments[:, axes] - moments[:, its] @ onto)
-                variance = (left**2).mean(axis=1)
-                least = max(float(np.quantile(variance, 0.1)), 1e-300)
-                weights[:] = (np.maximum(variance, least) / least) ** -WEIGHT_POWER / least
-        scores = np.linalg.solve(normal, scores.T).T
+                onto = sums[axes, its] @ inverse
+                total += sums[axes, forces] - onto @ sums[of_law, forces]
+                beside = columns[..., forces] - columns[..., its] @ (inverse @ sums[of_law, forces])
+                solved.append((onto, beside))
+            found = np.linalg.solve(total[:, :-1], total[:, -1])
+            lefts = [beside @ np.append(-found, 1.0) for _, beside in solved]
+            variance = np.stack([(left**2).mean(axis=1) for left in lefts])
+            least = np.maximum(np.quantile(variance, 0.1, axis=1, keepdims=True), 1e-300)
+            weights = [*(np.maximum(variance, least) / least) ** -WEIGHT_POWER / least]
+        scores = np.zeros((windows, 2 * n))
+        for columns, (onto, _), left, weight in zip(equations, solved, lefts, before, strict=True):
+            z = columns[..., axes] - columns[..., of_law] @ onto.T
+            scores += (z * (left * weight[:, np.newaxis])[..., np.newaxis]).sum(axis=1)
+        scores = np.linalg.solve(total[:, :-1], scores.T).T
     except np.linalg.LinAlgError:
         return np.full(2 * n, np.nan), np.full(2 * n, np.nan)
     # windows overlap by half, and each has its line

@@ -12,10 +12,8 @@ with the mass M of the whole structure, C and K of its computed part and the dam
 operators and curve. Unlike a linear structure it yields, slips and closes gaps where the specimen
 did, and a small difference grows where that of the specimen would.
 
-A stop operator z with the bound y unloads as e does, and away from 0 it has a corner, or is round
-with n = 1, 2 or 4 (Menegotto & Pinto 1973); of these the law of Bouc and Wen is made, too::
-
-    z / y = u / (1 + u^n)^(1/n),  u' = |e'| / y                                            (2)
+Of stop operators with round corners (`seft_ros.reference_force.stop_operators`) the law of Bouc and
+Wen is made, too.
 
 The deformation is that of displacement and acceleration together, which has a quarter of the noise
 (`seft_ros.analysis.channel_estimates`).
@@ -43,19 +41,20 @@ from seft_msgs_py.arrays import Floats
 from seft_msgs_py.config.experiment import Experiment
 from seft_plant_sim.calibration import SIGNIFICANT
 from seft_plant_sim.channels import DISPLACEMENT
-from seft_plant_sim.compiled import bounded, compiled
+from seft_plant_sim.compiled import compiled
 from seft_plant_sim.simulated.specimen import deformations
 from seft_plant_sim.whole_structure import WholeStructure
 
 from seft_ros.analysis.channel_estimates import noise_of, summed_covariance, with_motion
 from seft_ros.analysis.metrics import ratio
+from seft_ros.reference_force.stop_operators import move_stop, stop_operators
 
 SHARP, ROUND, CORNERS = 24, 12, 40
-"""Stop operators with a corner, those of each roundness, Eq. (2), and corners of the curve of a
+"""Stop operators with a corner, those of each roundness, and corners of the curve of a
 spring: from noise to most of its deformation, and so close that a corner of the law is within a
 hundredth of it."""
 STOP_OPERATORS = SHARP + 3 * ROUND
-_POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [SHARP, ROUND, ROUND, ROUND])  # of Eq. (2); 0: a corner
+_POWERS = np.repeat([0.0, 1.0, 2.0, 4.0], [SHARP, ROUND, ROUND, ROUND])  # n of each; 0: a corner
 _NEXT = 1.4  # threshold of a round one over that of the next, up to the largest deformation
 _COUPLED = 1e-6  # of the largest stiffness: less is rounding
 _ROWS = 1 << 14  # of samples that are fitted, of longer tests at equal distances
@@ -71,6 +70,7 @@ _STOPS, _EVEN, _CORNERS = 24, 96, 30  # beside a drift: the corner of a law is w
 _DRIFT_ROWS, _DRIFT_SMOOTH = 1 << 13, 1e-2
 _DESCRIBED = 1.2  # what the law leaves, over the noise
 _MEMORY = 8  # parts of a test over which residuals may be correlated
+_ROUNDING = 1e-10  # of a law's regressors, which may be alike
 _FREEDOM = 1.5 * _MEMORY  # degrees, of the error of so few
 
 
@@ -107,19 +107,26 @@ class SpecimenLaw:
         Of each spring per displacement of each axis, shape (p, n).
     dt : float
         Sampling period, s.
+
+    Attributes
+    ----------
+    deformation : ndarray
+        Of each spring, shape (N, p), m.
+    noise : ndarray
+        RMS of that of the displacement alone, shape (p,), m.
     """
 
     def __init__(
         self, whole: WholeStructure, mass: Floats, samples: Floats, deformation: Floats, dt: float
     ) -> None:
-        noise = noise_of(samples[:, DISPLACEMENT] @ deformation.T)
+        self.noise = noise_of(samples[:, DISPLACEMENT] @ deformation.T)
         _, v, a, f = np.moveaxis(samples, 1, 0)
         x = with_motion(samples, noise_of(samples), dt)[:, DISPLACEMENT]
         self._whole, self._dt, self._x = whole, dt, x
         self._springs = np.ascontiguousarray(deformation)
         self.deformation, rates = np.ascontiguousarray(x @ deformation.T), v @ deformation.T
         low, high = self.deformation.min(axis=0), self.deformation.max(axis=0)
-        self._thresholds = _thresholds(self.deformation, noise, SHARP, 0.7)
+        self._thresholds = _thresholds(self.deformation, self.noise, SHARP, 0.7)
         self._step = np.maximum(high - low, 1e-300) / (CORNERS - 1)
         self._low = low - self._step  # of the first corner: a further one on either side, see below
         values = self._fitted(rates, (f - a @ mass.T) @ deformation.T)
@@ -163,7 +170,7 @@ class SpecimenLaw:
             before, here = slice(first - begin, first + block), slice(first, first + block, every)
             parts = []
             for j, e in enumerate(self.deformation[before].T):
-                stops = _followed(e, self._thresholds[j], _POWERS, z[j])
+                stops = stop_operators(e, self._thresholds[j], _POWERS, z[j])
                 z[j] = stops[-1]
                 place = (self.deformation[here, j] - self._low[j]) / self._step[j] - 1.0
                 stops, rate = stops[begin::every] / self._thresholds[j], rates[here, j] / size[j]
@@ -211,14 +218,6 @@ def _thresholds(e: Floats, noise: Floats, sharp: int, highest: float) -> Floats:
     return np.hstack([each, rounded, rounded, rounded])
 
 
-def _followed(e: Floats, thresholds: Floats, powers: Floats, start: Floats) -> Floats:
-    """Give the stop operators of a deformation, (N,), which begin with some values; (N, m)."""
-    stops = np.empty((len(e), len(thresholds)))
-    stops[0] = start
-    _follow(np.ascontiguousarray(e), thresholds, powers, stops)
-    return stops
-
-
 def _regressors(stops: Floats, place: Floats, corners: int, *linear: Floats) -> Floats:
     """Stop operators, hats at the corners of a curve for places counted in these, and others."""
     hats = np.maximum(0.0, 1.0 - np.abs(place[:, np.newaxis] - np.arange(corners)))
@@ -232,7 +231,7 @@ def _prior(rows: int, columns: int, stops: int, corners: int, smooth: float) -> 
     return rows * (smooth**2 * bends.T @ bends + _RIDGE**2 * np.eye(columns))
 
 
-def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Floats:
+def fine_law(deformation: Floats, noise: float) -> Floats:
     """Regressors of the force of a spring whose law is known to its noise; shape (N, q).
 
     Parameters
@@ -241,58 +240,57 @@ def fine_law(deformation: Floats, noise: float, rows: slice = slice(None)) -> Fl
         Shape (N,).
     noise : float
         RMS, m.
-    rows : slice
-        Those that are wanted.
     """
     (thresholds,) = _thresholds(deformation[:, np.newaxis], np.array([noise]), _STOPS, 1.0)
     thresholds = np.append(thresholds[_STOPS - 1] * np.arange(1, _EVEN) / _EVEN, thresholds)
     powers = np.append(np.zeros(len(thresholds) - 3 * ROUND), _POWERS[SHARP:])
-    stops = _followed(deformation, thresholds, powers, 0.0 * powers)[rows] / thresholds
+    stops = stop_operators(deformation, thresholds, powers) / thresholds
     place = (deformation - deformation.min()) / max(np.ptp(deformation), 1e-300) * (_CORNERS - 1)
     size = np.sqrt(np.mean(deformation**2)) + 1e-300
-    return _regressors(stops, place[rows], _CORNERS, deformation[rows] / size)
+    return _regressors(stops, place, _CORNERS, deformation / size)
 
 
-def force_drift(
-    deformation: Floats, others: Floats, force: Floats, noise: float
-) -> tuple[float, float, Floats]:
+def force_drift(law: Floats, others: Floats, force: Floats) -> tuple[float, float, Floats]:
     """Fit the zero of a spring's force, Eq. (1); give b, N, its standard error, and g, (N,).
 
     Parameters
     ----------
-    deformation, force : ndarray
-        Of the spring, shape (N,).
+    law : ndarray
+        See `fine_law`; shape (N, q).
     others : ndarray
         What else the force may follow, shape (N, k): the rate and the inertia.
-    noise : float
-        See `fine_law`.
+    force : ndarray
+        Of the spring, shape (N,).
     """
     count, here = len(force), slice(None, None, 1 + len(force) // _DRIFT_ROWS)
-    y, law = force[here], fine_law(deformation, noise, here)
-    law = np.hstack([others[here] / (np.sqrt(np.mean(others**2, axis=0)) + 1e-300), law])
-    sharp = np.delete(law, np.s_[-3 * ROUND - _CORNERS - 1 : -_CORNERS - 1], axis=1)
-    power, begin = _best_onset(law, y)
+    others = others[here] / (np.sqrt(np.mean(others**2, axis=0)) + 1e-300)
+    y, law = force[here], np.hstack([others, law[here]])
+    stops = law.shape[1] - _CORNERS - 1
+    prior = _prior(len(y), law.shape[1], stops, _CORNERS, _DRIFT_SMOOTH)
+    squares = law.T @ law
+    sharp = np.delete(np.arange(len(squares)), np.s_[stops - 3 * ROUND : stops])
+    normal = squares + prior
+    laws = (law, normal), (law[:, sharp], normal[np.ix_(sharp, sharp)])
+    power, begin = _best_onset(law, squares + _ROUNDING * len(y) * np.eye(len(squares)), y)
     time, at = np.arange(count), here.step * begin
     shape = (time >= at) * (np.maximum(time - at, 0) / (count - at)) ** power
-    (b, error, left), (other, *_) = (
-        _beside_law(shape[here, np.newaxis], one, y) for one in (law, sharp)
-    )
+    (b, error, left), (other, *_) = (_beside_law(shape[here, np.newaxis], *one, y) for one in laws)
     if np.sqrt(np.mean(left**2)) <= _DESCRIBED * noise_of(force[:, np.newaxis])[0]:
         most = -stdtrit(_FREEDOM, erfc(SIGNIFICANT / math.sqrt(2.0)) / (4.0 * len(y)))
         return float(b[0]), float(np.hypot(most / SIGNIFICANT * error, b - other)[0]), shape
     modes = np.arange(1, MODES + 1)
     cosines = np.cos(np.pi * np.outer(time[here] / count, modes))
-    b, other = (_beside_law(cosines, one, y)[0] for one in (law, sharp))
+    b, other = (_beside_law(cosines, *one, y)[0] for one in laws)
     unsure = np.hypot(np.sqrt(np.mean((modes * b)[_SLOW:] ** 2)), b[0] - other[0])
     return float(-2.0 * b[0]), float(2.0 * unsure), 0.5 - 0.5 * np.cos(np.pi * time / count)
 
 
-def _best_onset(law: Floats, y: Floats) -> tuple[int, int]:
+def _best_onset(law: Floats, normal: Floats, y: Floats) -> tuple[int, int]:
     """Find what explains most beside a law: a step (0) or a ramp (1), and the row where it begins.
 
     Sums from each row on give the products of all steps; sums of these, those of all ramps.
     """
-    q, _ = np.linalg.qr(law)
+    q = law @ np.linalg.inv(np.linalg.cholesky(normal)).T
     products = np.column_stack([y - q @ (q.T @ y), q])
     rows, part = np.arange(len(y), 0.0, -1.0), len(y) // _PARTS
     squares, best = rows, (0.0, 0, 0)
@@ -308,40 +306,18 @@ def _best_onset(law: Floats, y: Floats) -> tuple[int, int]:
     return best[1:]
 
 
-def _beside_law(drift: Floats, law: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+def _beside_law(
+    drift: Floats, law: Floats, normal: Floats, y: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Fit Eq. (1); give the q values of the drift, their standard errors, and what is left."""
-    regressors, q = np.hstack([drift, law]), drift.shape[1]
-    normal = regressors.T @ regressors
-    stops = law.shape[1] - _CORNERS - 1
-    normal[q:, q:] += _prior(len(y), law.shape[1], stops, _CORNERS, _DRIFT_SMOOTH)
-    inverse = np.linalg.inv(normal)
-    values = inverse @ (regressors.T @ y)
-    left = y - regressors @ values
-    spread = summed_covariance(regressors * left[:, np.newaxis], max(2, len(y) // _MEMORY))
-    return values[:q], np.sqrt((inverse @ spread @ inverse).diagonal()[:q]), left
-
-
-@compiled
-def _stop(z: float, change: float, limit: float, power: float) -> float:
-    """Move a stop operator, Eq. (2)."""
-    if power == 0.0:
-        return bounded(z + change, limit)
-    sign = math.copysign(1.0, change)
-    back = min(max(-z * sign, 0.0), abs(change))
-    z += sign * back
-    if back == abs(change):
-        return z
-    share, inverse = abs(z) / limit, 1.0 / power
-    u = (abs(change) - back) / limit + share / max(1.0 - share**power, 1e-12) ** inverse
-    return sign * limit * u / (1.0 + u**power) ** inverse
-
-
-@compiled
-def _follow(e: Floats, thresholds: Floats, powers: Floats, stops: Floats) -> None:
-    """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
-    for i in range(len(thresholds)):
-        for k in range(1, len(e)):
-            stops[k, i] = _stop(stops[k - 1, i], e[k] - e[k - 1], thresholds[i], powers[i])
+    both = np.column_stack([drift, y])
+    both -= law @ np.linalg.solve(normal, law.T @ both)
+    own, left = both[:, :-1], both[:, -1]
+    inverse = np.linalg.inv(drift.T @ own)
+    values = inverse @ (drift.T @ left)
+    left = left - own @ values
+    spread = summed_covariance(own * left[:, np.newaxis], max(2, len(y) // _MEMORY))
+    return values, np.sqrt((inverse @ spread @ inverse).diagonal()), left
 
 
 @compiled
@@ -385,8 +361,8 @@ def _differ(
             for i in range(m):
                 if slopes[j, i] > 0.0:
                     y, power = thresholds[j, i], powers[i]
-                    z[0, j, i] = _stop(z[0, j, i], e[k, j] - last[0, j], y, power)
-                    z[1, j, i] = _stop(z[1, j, i], both - last[1, j], y, power)
+                    z[0, j, i] = move_stop(z[0, j, i], e[k, j] - last[0, j], y, power)
+                    z[1, j, i] = move_stop(z[1, j, i], both - last[1, j], y, power)
                     force += slopes[j, i] * (z[1, j, i] - z[0, j, i])
             last[0, j], last[1, j] = e[k, j], both
             force += _curve_at(curve[j], (both - low[j]) / step[j])

@@ -52,7 +52,7 @@ from seft_plant_sim.calibration import SIGNIFICANT, significant
 from seft_plant_sim.channels import ACCELERATION, DISPLACEMENT, FORCE
 
 from seft_ros.identification.multisine import Sine
-from seft_ros.reference_force.restoring_model import stop_operators
+from seft_ros.reference_force.stop_operators import stop_operators
 
 _ORDERS = (1, 3, 5)  # a law that is odd has no others
 _STOPS, _LEAST, _MOST = 8, 0.03, 0.8  # thresholds over the displacement

@@ -285,24 +285,6 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
 
 
 @compiled
-def slide(e: Floats, thresholds: Floats, stops: Floats) -> None:
-    """Let stop operators follow a deformation, (N,), from the first row of the result, (N, m)."""
-    for i in range(len(thresholds)):
-        z = stops[0, i]
-        for k in range(1, len(e)):
-            z = bounded(z + e[k] - e[k - 1], thresholds[i])
-            stops[k, i] = z
-
-
-def stop_operators(e: Floats, thresholds: Floats, start: float | Floats = 0.0) -> Floats:
-    """Give the stop operators of a deformation, (N,), which begin with some values; (N, m)."""
-    stops = np.empty((len(e), len(thresholds)))
-    stops[0] = start
-    slide(np.ascontiguousarray(e), thresholds, stops)
-    return stops
-
-
-@compiled
 def move_stops(
     parameters: ModelParameters, thresholds: Floats, change: Floats, stops: Floats
 ) -> None:
