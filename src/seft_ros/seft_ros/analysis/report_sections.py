@@ -72,7 +72,8 @@ def ground_motion(report: Report) -> Iterator[Block]:
     some = ", ".join(modes[:_FEW] + ["..."] * (len(modes) > _FEW))
     rows = rows_of(_GROUND_MOTION, numbers | {"modes": some})
     yield Text(_TESTED)
-    yield TextTable((), rows + (rows_of(_TARGET, target) if target is not None else []))
+    rows += rows_of(_TARGET, target) if target is not None else []
+    yield TextTable((), rows, numbers=False)
     frequency = difference.frequency_hz
     for axis, asked, tested in zip(axes, difference.asked.T, difference.tested.T, strict=True):
         panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)

@@ -46,7 +46,7 @@ def _agreement_rows(part: dict[str, Any], prefix: str = "") -> Iterator[list[str
             f"{prefix}{quantity}",
             *(number(measures[key], scale, unit) for key in ("peak", "reference_peak")),
             *(percent(measures[key]) for key in ("nrmse", "nrmse_aligned")),
-            number(measures["delay_s"], 1e3, "ms", ".2f"),
+            number(measures["delay_s"], 1e3, "ms", "z.2f"),
         ]
 
 

@@ -7,21 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bokeh import models
 from bokeh.document import Document
 from bokeh.embed import components
-from bokeh.model import Model
-from bokeh.models import (
-    BoxAnnotation,
-    DataRange1d,
-    FixedTicker,
-    HoverTool,
-    NoOverlap,
-    NumeralTickFormatter,
-    Range1d,
-    Span,
-)
 from bokeh.plotting import figure
 from bokeh.resources import Resources
+from bokeh.themes import Theme
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from seft_msgs_py.errors import InputError
 
@@ -31,6 +22,17 @@ SUFFIX = ".html"
 _HEIGHT = 260  # pixels
 _TOOLS = "box_zoom,xwheel_zoom,pan,reset,save"
 _FAINT = "#aab1b8"
+_LOOK = {
+    "Axis": {"axis_label_text_font_style": "normal"}
+    | dict.fromkeys(("axis_label_text_color", "major_label_text_color"), style.TEXT)
+    | dict.fromkeys(("axis_line_color", "major_tick_line_color", "minor_tick_line_color"), _FAINT),
+    "Grid": {"grid_line_color": style.GRID},
+    "Legend": {"orientation": "horizontal", "border_line_color": None, "background_fill_alpha": 0.0}
+    | {"label_text_color": style.TEXT, "label_text_font_size": "13px", "spacing": 14}
+    | {"padding": 0, "margin": 0, "click_policy": "hide"},
+    "Plot": {"outline_line_color": None, "min_border_right": 12},
+    "Toolbar": {"logo": None, "autohide": True},
+}
 _LOG_TICKS = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
 
 
@@ -57,7 +59,7 @@ class Plot:
     A wide one has the page's whole width; otherwise two are side by side where there is room.
     """
 
-    figure: Model
+    figure: models.Model
     caption: str = ""
     wide: bool = False
 
@@ -90,10 +92,12 @@ def write_page(path: Path, title: str, subtitle: str, sections: Sequence[PageSec
     grids = [plot for block in blocks if isinstance(block, Grid) for plot in block.plots]
     plots = [*(block for block in blocks if isinstance(block, Plot)), *grids]
     figures = {plot.figure.id: plot.figure for plot in plots}
-    document = Document()
+    document = Document(theme=Theme(json={"attrs": _LOOK}))
     with document.models.freeze():  # one look at all models, not one for each figure
         for one in figures.values():
-            _place_legend(one)
+            for legend in one.legend:
+                one.center.remove(legend)
+                one.add_layout(legend, "above")
             document.add_root(one)
     script, places = components(figures) if figures else ("", {})
     library = Resources(mode="inline", components=["bokeh"]).render_js() if figures else ""
@@ -138,7 +142,7 @@ def plot(
     x_label: str,
     y_label: str,
     *,
-    x_range: Range1d | None = None,
+    x_range: models.Range1d | None = None,
     log_x: bool = False,
     log_y: bool = False,
     height: int = _HEIGHT,
@@ -156,21 +160,12 @@ def plot(
         y_axis_label=y_label,
         x_axis_type="log" if log_x else "linear",
         y_axis_type="log" if log_y else "linear",
-        x_range=x_range or DataRange1d(),
+        x_range=x_range or models.DataRange1d(),
     )
-    found.toolbar.logo = None
-    found.toolbar.autohide = True
-    found.outline_line_color = None
-    found.min_border_right = 12
-    found.grid.grid_line_color = style.GRID
-    for axis in found.axis:
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_color = axis.major_label_text_color = style.TEXT
-        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = _FAINT
     if log_x:
-        found.xaxis.formatter = NumeralTickFormatter(format="0.[000]")
-        found.xaxis.ticker = FixedTicker(ticks=_LOG_TICKS)
-        found.xaxis.major_label_policy = NoOverlap()
+        found.xaxis.formatter = models.NumeralTickFormatter(format="0.[000]")
+        found.xaxis.ticker = models.FixedTicker(ticks=_LOG_TICKS)
+        found.xaxis.major_label_policy = models.NoOverlap()
     return found
 
 
@@ -230,41 +225,28 @@ def bars(panel: figure, edges: style.AnyFloats, counts: style.AnyFloats) -> None
 def band(panel: figure, low: float, high: float, color: str = style.MARK) -> None:
     """Shade a range of x."""
     shade = {"fill_color": color, "fill_alpha": 0.1, "line_color": None, "level": "underlay"}
-    panel.add_layout(BoxAnnotation(left=low, right=high, **shade))
+    panel.add_layout(models.BoxAnnotation(left=low, right=high, **shade))
 
 
 def mark(panel: figure, x: float) -> None:
     """Draw a vertical dashed line."""
-    span = Span(location=x, dimension="height", line_color=style.MARK, line_dash="dashed")
+    span = models.Span(location=x, dimension="height", line_color=style.MARK, line_dash="dashed")
     panel.add_layout(span)
 
 
 def level(panel: figure, y: float) -> None:
     """Draw a horizontal dashed line."""
-    panel.add_layout(Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed"))
+    panel.add_layout(
+        models.Span(location=y, dimension="width", line_color=_FAINT, line_dash="dashed")
+    )
 
 
-def time_range(times: Sequence[float] | style.AnyFloats) -> Range1d:
+def time_range(times: Sequence[float] | style.AnyFloats) -> models.Range1d:
     """Make a range that figures over the same time share."""
     low, high = (float(times[0]), float(times[-1])) if len(times) else (0.0, 1.0)
     high = high if high > low else low + 1.0
-    return Range1d(low, high, bounds=(low, high))
+    return models.Range1d(low, high, bounds=(low, high))
 
 
-def _hover(panel: figure, renderer: Model, *tips: tuple[str, str]) -> None:
-    panel.add_tools(HoverTool(renderers=[renderer], tooltips=list(tips), visible=False))
-
-
-def _place_legend(panel: figure) -> None:
-    """Put the legend above the panel, if it has one."""
-    for legend in panel.legend:
-        panel.center.remove(legend)
-        panel.add_layout(legend, "above")
-        legend.orientation = "horizontal"
-        legend.border_line_color = None
-        legend.background_fill_alpha = 0.0
-        legend.label_text_color = style.TEXT
-        legend.label_text_font_size = "13px"
-        legend.padding = legend.margin = 0
-        legend.spacing = 14
-        legend.click_policy = "hide"
+def _hover(panel: figure, renderer: models.Model, *tips: tuple[str, str]) -> None:
+    panel.add_tools(models.HoverTool(renderers=[renderer], tooltips=list(tips), visible=False))
