@@ -76,7 +76,7 @@ def ground_motion(report: Report) -> Iterator[Block]:
     yield TextTable((), rows, numbers=False)
     frequency = difference.frequency_hz
     for axis, asked, tested in zip(axes, difference.asked.T, difference.tested.T, strict=True):
-        panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True, log_y=True)
+        panel = plot("frequency / Hz", "pseudo-acceleration / (m/s²)", log_x=True)
         against(panel, (frequency, asked), (frequency, tested), ("asked for", "tested"))
         page.band(panel, *difference.band_hz, color=style.REFERENCE)
         for natural in difference.natural_hz:
