@@ -10,12 +10,13 @@ with one stop operator z of an unknown threshold y. Since the last slip, which e
 sense d = 1 or -1, it has w z = w (e - e_s) + c d with c = w y; while it slips, e = e_s. That is
 linear in p, K, C, w and c, which a Kalman filter estimates, and with them y = c / w.
 
-While it sticks, an error b of the observed deformation e, and that of e_s, b_s, act through w: with
-friction 1 um is 10 N. So z is w (e + b - e_s - b_s) + c d, and both errors are estimated, too: b is
-a Gauss-Markov process with the variance and memory of the observer's noise, and b_s is b of the
-sample at which it stopped slipping. The law slips where this z does; near y a part of the force is
-uncertain, because the slider may stick. A spring that does not move tells nothing of K, C, w and c:
-regression on a motion that is noise takes w for smaller than it is.
+An error b of the observed deformation e acts through K and, while it sticks, through w together
+with that of e_s, b_s: with friction 1 um is 10 N. So the law has K (e + b) and w (e + b - e_s -
+b_s) + c d, and both errors are estimated, too: b is a Gauss-Markov process with the variance and
+memory of the observer's noise, and b_s is b of the sample at which it stopped slipping. The law
+slips where this z does; near y a part of the force is uncertain, because the slider may stick. A
+spring that does not move tells nothing of K, C, w and c: regression on a motion that is noise takes
+w for smaller than it is.
 
 The law begins when the specimen yields: the filter of the model detects a change, the force rises
 less than before while the specimen moves away from the middle, and no slip was foretold. What the
@@ -141,8 +142,8 @@ def expect_corner(
     phi[p.place] = z
     covariance[1, 1] += p.drift[j, 1 + j]
     covariance[2, 2] += p.drift[j, damping]
-    variance = _variance(p, state, j, phi, y, unsure)
-    missed = measured - _force(law, phi, p.place, state.work[0], slider)
+    variance = unsure + _variance(p, state, j, phi, y)
+    missed = measured - _force(p, state, j, phi)
     slider[_SUM] = p.recent * slider[_SUM] + missed
     slider[_VARIANCE] = p.recent * p.recent * slider[_VARIANCE] + variance
     if is_refuted(p, slider):
@@ -150,12 +151,13 @@ def expect_corner(
         if slider[STAGE] == _BEGUN and not slips and missed * missed > variance:
             by_w = (missed * missed - variance) / state.work[0, 3] ** 2
             covariance[3, 3] += min(by_w, law[p.place] ** 2)
-            variance = _variance(p, state, j, phi, y, unsure)
+            variance = _variance(p, state, j, phi, y)
     if slips and slider[_SLID] >= 0.0:
         slider[_SLID] += abs(moved)
         saved = law[p.place] * slider[_SLID]
         if saved > STANDS_OUT * math.sqrt(p.noise[j]) and _yields(p, law, j):
             slider[STAGE] = FORETELLS
+    slider[_SPREAD] = variance
     return variance
 
 
@@ -169,29 +171,23 @@ def fade(covariance: Floats, place: int, kept: float, gained: float) -> None:
 
 
 @compiled
-def _variance(
-    p: CornerParameters, state: CornerState, j: int, phi: Floats, y: float, unsure: float
-) -> float:
-    """Variance of a force about its law, N^2; ``work`` is then the factors and their gains.
-
-    A part of it is ``unsure``: whether the slider slips.
-    """
+def _variance(p: CornerParameters, state: CornerState, j: int, phi: Floats, y: float) -> float:
+    """Variance of a force about its law, N^2; ``work`` is then the factors and their gains."""
     factors, gain, law, slider = state.work[0], state.work[1], state.law[j], state.slider[j]
-    sense, damping, of_error = slider[_SENSE], 1 + len(p.start) + j, law[p.place] * slider[_STICKS]
+    sense, damping, by_slider = slider[_SENSE], 1 + len(p.start) + j, law[p.place] * slider[_STICKS]
     factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
     factors[3], factors[4] = phi[p.place] - sense * y, sense
-    factors[5], factors[6] = of_error, -of_error
+    factors[5], factors[6] = law[1 + j] + by_slider, -by_slider
     multiply_sized(8, 8, state.covariance[j], factors, gain)
-    own = unsure + p.white[j] + law[damping] ** 2 * p.observed[j, 1]
-    slider[_SPREAD] = own + dot(8, factors, gain)
-    return slider[_SPREAD]
+    return p.white[j] + law[damping] ** 2 * p.observed[j, 1] + dot(8, factors, gain)
 
 
 @compiled
-def _force(law: Floats, phi: Floats, place: int, factors: Floats, slider: Floats) -> float:
-    """Force by a law, N: with c, which is not w y before w is known."""
-    beside = law[place] * (factors[3] - phi[place]) + slider[_FORCE] * factors[4]
-    return dot(len(law), law, phi) + beside
+def _force(p: CornerParameters, state: CornerState, j: int, phi: Floats) -> float:
+    """Force by a law, N: with b, and with c, which is not w y before w is known."""
+    law, slider, factors = state.law[j], state.slider[j], state.work[0]
+    beside = law[1 + j] * slider[_ERROR] + slider[_FORCE] * factors[4]
+    return dot(len(law), law, phi) + law[p.place] * (factors[3] - phi[p.place]) + beside
 
 
 @compiled
@@ -199,9 +195,8 @@ def may_begin(p: CornerParameters, state: CornerState, j: int) -> bool:
     """Say whether there is no law, or one of no yielding, or refuted where it foretold no slip."""
     slider = state.slider[j]
     foretold = slider[STAGE] == FORETELLS and slider[_STICKS] == 0.0
-    if slider[STAGE] == 0.0 or not _yields(p, state.law[j], j):
-        return True
-    return is_refuted(p, slider) and not foretold
+    fails = not _yields(p, state.law[j], j) or (is_refuted(p, slider) and not foretold)
+    return slider[STAGE] == 0.0 or fails
 
 
 @compiled
@@ -274,7 +269,7 @@ def begin_corner(
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
     slider[_FROM], slider[_END], slider[_AT] = start, e, now
     phi[p.place] = sense * y
-    _variance(p, state, j, phi, y, 0.0)
+    slider[_SPREAD] = _variance(p, state, j, phi, y)
     return y
 
 
@@ -297,17 +292,14 @@ def follow_corner(
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
     factors, gain, taken, left = state.work[0], state.work[1], state.work[2], state.work[3]
     damping, past, variance = 1 + len(p.start) + j, state.past[j], slider[_SPREAD]
-    missed = measured - _force(law, phi, p.place, factors, slider)
+    missed = measured - _force(p, state, j, phi)
     of_past = dot(8, past, factors) / variance
     for i in range(8):
         taken[i] = gain[i] / variance if moves or i == 0 or i >= 5 else 0.0
         left[i] = taken[i] * variance - gain[i]
-    by_taken, by_left = dot(8, taken, factors), dot(8, left, factors)
     sharpen(8, taken, left, gain, covariance)
-    for i in range(8):
-        of_errors = factors[5] * (covariance[i, 5] - covariance[i, 6])
-        after = gain[i] + taken[i] * by_left - gain[i] * by_taken - of_errors
-        past[i] = remembered * (past[i] - of_past * gain[i]) + after
+    for i in range(8):  # an error of the motion is none of the force
+        past[i] = remembered * (past[i] - of_past * gain[i]) + dot(5, covariance[i], factors)
     slider[MENDED], slider[SHIFT] = of_past * missed, 0.0
     law[0] += taken[0] * missed
     law[1 + j] += taken[1] * missed
