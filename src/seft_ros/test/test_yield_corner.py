@@ -34,6 +34,19 @@ def test_the_corner_of_a_specimen_that_yields_is_found_and_used(seed):
     assert np.abs(left[0, -800:]).max() < 8.0  # without a surprise, of 600 N
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_friction_is_found_though_noise_of_the_displacement_makes_25_newtons(seed):
+    (x, v), sticks = sway(0.012, cycles=20.0), 2e-5
+    stop = models.stop_operators(x, np.array([sticks]))[:, 0]
+    seen = x + 2.6e-6 * np.random.default_rng(seed).standard_normal(len(x))
+    _, state, _ = followed(K * x + 190.0 / sticks * stop + 800.0 * v, seen, v, seed=seed)
+    assert state.corner.slider[0, STAGE] == FORETELLS
+    assert state.thresholds[0, models.CORNER] == pytest.approx(sticks, rel=0.15)
+    friction = state.corner.law[0, 1 + 2 + models.CORNER] * state.thresholds[0, models.CORNER]
+    assert friction == pytest.approx(190.0, rel=0.01)
+    assert state.corner.law[0, 1] == pytest.approx(K, rel=0.01)
+
+
 @pytest.mark.parametrize("stiffness", [K, 0.8 * K])
 def test_an_elastic_specimen_has_no_corner(stiffness):
     x, v = sway(0.012)

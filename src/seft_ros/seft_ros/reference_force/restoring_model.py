@@ -62,14 +62,15 @@ from seft_ros.reference_force.yield_corner import (
     FORETELLS,
     HOLDS,
     MENDED,
-    SHIFT,
     STAGE,
     CornerParameters,
     CornerState,
     begin_corner,
     expect_corner,
+    fade,
     follow_corner,
     may_begin,
+    sharpen,
 )
 
 THRESHOLDS = 12
@@ -242,7 +243,8 @@ def model_arrays(
     change = variance(1.0, CHANGING_STIFFNESS, CHANGING_DAMPING, CHANGING_SLIDER)
     recent = math.exp(-dt / _RECENT)
     surprise = NormalDist().inv_cdf(1.0 - 0.5 * min(dt / ONCE_IN, 0.5)) ** 2
-    corner = CornerParameters(1 + 2 * n + CORNER, start, prior, drift, assumed, recent, surprise)
+    place, seen = 1 + 2 * n + CORNER, (observed**2, kept, recent, surprise)
+    corner = CornerParameters(place, start, prior, drift, assumed, white, *seen)
     parameters = ModelParameters(
         springs=springs,
         thresholds=thresholds,
@@ -376,17 +378,6 @@ def motion_noise(parameters: ModelParameters, state: RestoringState, j: int) -> 
 
 
 @compiled
-def fade_error(parameters: ModelParameters, state: RestoringState, j: int, place: int) -> None:
-    """Predict the error b of spring j, which is in a place of its parameters."""
-    p = state.covariance[j]
-    state.found[j, place] *= parameters.kept
-    for i in range(len(p)):
-        p[i, place] *= parameters.kept
-        p[place, i] *= parameters.kept
-    p[place, place] += parameters.stuck[j]
-
-
-@compiled
 def hold_against_law(
     parameters: ModelParameters, state: RestoringState, j: int, moved: float, measured: float
 ) -> float:
@@ -414,20 +405,21 @@ def follow_law(
     measured: float,
     lacks: float,
     remembered: float,
+    moves: bool,
 ) -> float:
     """Let the law with a corner learn, or begin where the force lacks something, N.
 
     The result is the change of the past impulse by a law that foretells, over a period, N.
     """
     laws, corner, phi, y = parameters.corner, state.corner, state.regressors[j], state.thresholds[j]
-    z = phi[laws.place]
-    if lacks > 0.0 and z * moved > 0.0 and may_begin(laws, corner, j):
+    if lacks > 0.0 and phi[laws.place] * moved > 0.0 and may_begin(laws, corner, j):
         slope, found = tangent(parameters, state, j), state.found[j]
-        y[CORNER] = begin_corner(laws, corner, j, phi, moved, lacks, slope, found)
+        y[CORNER] = begin_corner(
+            laws, corner, j, phi, moved, lacks, slope, found, measured, y[CORNER]
+        )
     if corner.slider[j, STAGE]:
-        y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER], remembered)
+        y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER], remembered, moves)
         state.stops[j, CORNER] = phi[laws.place]
-        corner.slider[j, SHIFT] = phi[laws.place] - z
     return corner.slider[j, MENDED] if corner.slider[j, STAGE] == FORETELLS else 0.0
 
 
@@ -454,7 +446,8 @@ def follow_specimen(
         copy(n, e, phi[1:])
         copy(n, rate, phi[1 + n :])
         copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
-        fade_error(parameters, state, j, error)
+        found[error] *= parameters.kept
+        fade(p, error, parameters.kept, parameters.stuck[j])
         slope = phi[error] = tangent(parameters, state, j)
         remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
         variance = motion_noise(parameters, state, j)
@@ -487,7 +480,7 @@ def follow_specimen(
             variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
         yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0
         lacks = abs(innovation) if yields else 0.0
-        by_law = follow_law(parameters, state, j, moved, measured[j], lacks, remembered)
+        by_law = follow_law(parameters, state, j, moved, measured[j], lacks, remembered, moves)
         foretells = state.corner.slider[j, STAGE] == FORETELLS
         assumed = state.corner.law[j] if foretells else parameters.start[j]
         weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
@@ -551,16 +544,3 @@ def widen(
             gain[i] += added * (phi[i] - last[i])
             gain[0] -= added * last[i] * (phi[i] - last[i])
     return grown * explained
-
-
-@compiled
-def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
-    """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
-    for i in range(q):
-        own, row = taken[i], gain[i]
-        for k in range(0, q, 4):  # all four before the first is stored: it might be one of these
-            one = p[i, k] + (own * left[k] - row * taken[k])
-            two = p[i, k + 1] + (own * left[k + 1] - row * taken[k + 1])
-            three = p[i, k + 2] + (own * left[k + 2] - row * taken[k + 2])
-            four = p[i, k + 3] + (own * left[k + 3] - row * taken[k + 3])
-            p[i, k], p[i, k + 1], p[i, k + 2], p[i, k + 3] = one, two, three, four

@@ -10,12 +10,23 @@ with one stop operator z of an unknown threshold y. Since the last slip, which e
 sense d = 1 or -1, it has w z = w (e - e_s) + c d with c = w y; while it slips, e = e_s. That is
 linear in p, K, C, w and c, which a Kalman filter estimates, and with them y = c / w.
 
+An error b of the observed deformation e acts through K and, while it sticks, through w together
+with that of e_s, b_s: with friction 1 um is 10 N. So the law has K (e + b) and w (e + b - e_s -
+b_s) + c d, and both errors are estimated, too: b is a Gauss-Markov process with the variance and
+memory of the observer's noise, and b_s is b of the sample at which it stopped slipping. The law
+slips where this z does; near y a part of the force is uncertain, because the slider may stick. A
+spring that does not move tells nothing of K, C, w and c: regression on a motion that is noise takes
+w for smaller than it is.
+
 The law begins when the specimen yields: the filter of the model detects a change, the force rises
 less than before while the specimen moves away from the middle, and no slip was foretold. What the
-force lacks, over the stiffness, is how far the corner lies back. At the corner the force is known,
-and a part of the stiffness, unknown by all of it, goes from K to w. At the first corner y is the
-deformation itself; later it is half of the way from where it slipped to the other side. A law that
-is refuted, because it was wrong where it began, begins again at the next corner.
+force lacks, over the stiffness, is how far the corner lies back. The stiffness is the model's, or
+that from where the motion began to here, if it is larger: the model may not have learned yet how
+stiff a specimen sticks. At the corner the force is known, and a part of the stiffness, unknown by
+all of it, goes from K to w. At the first corner y is the deformation itself; later it is half of
+the way from where it slipped to the other side. A law that is refuted, because it was wrong where
+it began, begins again at the next corner that it has not foretold. Until it foretells at all, what
+refutes it makes w uncertain.
 
 The law takes the place of the assumed specimen when it has foretold a corner on the other side,
 without which the force would have been missed by `STANDS_OUT` times its noise. Then it is as likely
@@ -35,10 +46,13 @@ underestimates, by the square of the noise over the motion (0.25 %)."""
 HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, STAGE, SHIFT, MENDED = range(10)
+_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, _AT, STAGE, SHIFT, MENDED = range(11)
+_ERROR, _START, _STICKS, _SPREAD = range(11, 15)
 """Columns of ``slider``: d; c, N; recent innovations, N, and their variance, N^2; motion of
-foretold slips, m, or -1 before one on the other side; stage of the law, 0 before it begins; how far
-the last sample has shifted z, m; and what it has mended of the past impulse, over a period, N."""
+foretold slips, m, or -1 before one on the other side; where the slips before began and where the
+last one ended, m, and at which force, without damping, N; stage of the law, 0 before it begins;
+how far the last sample has shifted z with y, m; what it has mended of the past impulse, over a
+period, N; b and b_s, m; 1 while it sticks; and the variance of the last innovation, N^2."""
 
 
 class CornerParameters(NamedTuple):
@@ -50,8 +64,10 @@ class CornerParameters(NamedTuple):
         Of w among the q parameters of the model.
     start, prior, drift : ndarray
         Of the model, shape (n, q).
-    noise : ndarray
-        Variance of the force with the effect of the motion's noise, N^2, shape (n,).
+    noise, white : ndarray
+        Variance of the force with the effect of the motion's noise, and without; N^2, shape (n,).
+    observed, kept
+        Of the model: variances of the motion, and memory of its error.
     recent, surprise : float
         Of the model.
     """
@@ -61,6 +77,9 @@ class CornerParameters(NamedTuple):
     prior: Floats
     drift: Floats
     noise: Floats
+    white: Floats
+    observed: Floats
+    kept: float
     recent: float
     surprise: float
 
@@ -69,10 +88,10 @@ class CornerState(NamedTuple):
     """State of the laws: arrays of zeros."""
 
     law: Annotated[Floats, "n", "q"]  # parameters, in the places of the model's
-    covariance: Annotated[Floats, "n", 5, 5]  # of p, K, C, w and c
-    past: Annotated[Floats, "n", 5]  # their covariance with the past impulse, over a period
-    slider: Annotated[Floats, "n", 10]
-    work: Annotated[Floats, 2, 5]
+    covariance: Annotated[Floats, "n", 8, 8]  # of p, K, C, w, c, b, b_s, and a zero
+    past: Annotated[Floats, "n", 8]  # their covariance with the past impulse, over a period
+    slider: Annotated[Floats, "n", 15]
+    work: Annotated[Floats, 4, 8]
 
 
 @compiled
@@ -99,49 +118,85 @@ def expect_corner(
         Change of the deformation, m; the force; and the threshold, m.
     """
     z, law, slider, covariance = phi[p.place], state.law[j], state.slider[j], state.covariance[j]
-    damping, slips = 1 + len(p.start) + j, abs(z) == y
-    if slips and z * slider[_SENSE] < 0.0:
-        slider[_SENSE], slider[_SLID], slider[_FROM] = -slider[_SENSE], 0.0, slider[_END]
+    damping, e, unsure = 1 + len(p.start) + j, phi[1 + j], 0.0
+    if slider[_STICKS] == 0.0:  # it slips on from here, or sticks
+        slider[_START], state.past[j, 6] = slider[_ERROR], state.past[j, 5]
+        for i in range(8):
+            covariance[i, 6] = covariance[i, 5]
+        copy(8, covariance[5], covariance[6])
+        if abs(z) < y:  # it turned
+            slider[_END] = e - (z - slider[_SENSE] * y)
+    slider[_ERROR] *= p.kept
+    fade(covariance, 5, p.kept, (1.0 - p.kept * p.kept) * p.observed[j, 0])
+    z = slider[_SENSE] * y + e - slider[_END] + slider[_ERROR] - slider[_START]
+    over = abs(z) - y
+    slips = over >= 0.0
+    slider[_STICKS] = 0.0 if slips else 1.0
     if slips:
-        slider[_END] = phi[1 + j]
+        z = y if z > 0.0 else -y
+        of_z = covariance[5, 5] + covariance[6, 6] - 2.0 * covariance[5, 6]
+        unsure = 0.5 * law[p.place] ** 2 * of_z * math.exp(-0.5 * over * over / of_z)
+        if z * slider[_SENSE] < 0.0:
+            slider[_SENSE], slider[_SLID], slider[_FROM] = -slider[_SENSE], 0.0, slider[_END]
+        slider[_END], slider[_AT] = e, measured - law[damping] * phi[damping]
+    phi[p.place] = z
     covariance[1, 1] += p.drift[j, 1 + j]
     covariance[2, 2] += p.drift[j, damping]
-    variance = _variance(p, state, j, phi, y)
-    missed = measured - _force(law, phi, p.place, state.work[0], slider)
+    variance = unsure + _variance(p, state, j, phi, y)
+    missed = measured - _force(p, state, j, phi)
     slider[_SUM] = p.recent * slider[_SUM] + missed
     slider[_VARIANCE] = p.recent * p.recent * slider[_VARIANCE] + variance
     if is_refuted(p, slider):
         slider[_SLID] = -1.0
+        if slider[STAGE] == _BEGUN and not slips and missed * missed > variance:
+            by_w = (missed * missed - variance) / state.work[0, 3] ** 2
+            covariance[3, 3] += min(by_w, law[p.place] ** 2)
+            variance = _variance(p, state, j, phi, y)
     if slips and slider[_SLID] >= 0.0:
         slider[_SLID] += abs(moved)
         saved = law[p.place] * slider[_SLID]
         if saved > STANDS_OUT * math.sqrt(p.noise[j]) and _yields(p, law, j):
             slider[STAGE] = FORETELLS
+    slider[_SPREAD] = variance
     return variance
+
+
+@compiled
+def fade(covariance: Floats, place: int, kept: float, gained: float) -> None:
+    """Predict the covariance of an error with a memory, which is in a place."""
+    for i in range(len(covariance)):
+        covariance[i, place] *= kept
+        covariance[place, i] *= kept
+    covariance[place, place] += gained
 
 
 @compiled
 def _variance(p: CornerParameters, state: CornerState, j: int, phi: Floats, y: float) -> float:
     """Variance of a force about its law, N^2; ``work`` is then the factors and their gains."""
-    factors, gain, sense = state.work[0], state.work[1], state.slider[j, _SENSE]
-    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[1 + len(p.start) + j]
+    factors, gain, law, slider = state.work[0], state.work[1], state.law[j], state.slider[j]
+    sense, damping, by_slider = slider[_SENSE], 1 + len(p.start) + j, law[p.place] * slider[_STICKS]
+    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
     factors[3], factors[4] = phi[p.place] - sense * y, sense
-    multiply_sized(5, 5, state.covariance[j], factors, gain)
-    return p.noise[j] + dot(5, factors, gain)
+    factors[5], factors[6] = law[1 + j] + by_slider, -by_slider
+    multiply_sized(8, 8, state.covariance[j], factors, gain)
+    return p.white[j] + law[damping] ** 2 * p.observed[j, 1] + dot(8, factors, gain)
 
 
 @compiled
-def _force(law: Floats, phi: Floats, place: int, factors: Floats, slider: Floats) -> float:
-    """Force by a law, N: with c, which is not w y before w is known."""
-    beside = law[place] * (factors[3] - phi[place]) + slider[_FORCE] * factors[4]
-    return dot(len(law), law, phi) + beside
+def _force(p: CornerParameters, state: CornerState, j: int, phi: Floats) -> float:
+    """Force by a law, N: with b, and with c, which is not w y before w is known."""
+    law, slider, factors = state.law[j], state.slider[j], state.work[0]
+    beside = law[1 + j] * slider[_ERROR] + slider[_FORCE] * factors[4]
+    return dot(len(law), law, phi) + law[p.place] * (factors[3] - phi[p.place]) + beside
 
 
 @compiled
 def may_begin(p: CornerParameters, state: CornerState, j: int) -> bool:
-    """Say whether there is no law, or one that is refuted, or of no yielding."""
+    """Say whether there is no law, or one of no yielding, or refuted where it foretold no slip."""
     slider = state.slider[j]
-    return slider[STAGE] == 0.0 or not _yields(p, state.law[j], j) or is_refuted(p, slider)
+    foretold = slider[STAGE] == FORETELLS and slider[_STICKS] == 0.0
+    fails = not _yields(p, state.law[j], j) or (is_refuted(p, slider) and not foretold)
+    return slider[STAGE] == 0.0 or fails
 
 
 @compiled
@@ -169,12 +224,14 @@ def begin_corner(
     lacks: float,
     slope: float,
     found: Floats,
+    measured: float,
+    y: float,
 ) -> float:
     """Let the law of spring j begin; give y.
 
     Parameters
     ----------
-    p, state, j, phi, moved
+    p, state, j, phi, moved, measured, y
         See `expect_corner`; z in ``phi`` is changed to that of the corner.
     lacks, slope : float
         What the force lacks, N, and the stiffness before, N/m.
@@ -183,29 +240,36 @@ def begin_corner(
     """
     law, slider, covariance, e = state.law[j], state.slider[j], state.covariance[j], phi[1 + j]
     along, damping, sense = state.work[1], 1 + len(p.start) + j, 1.0 if moved > 0.0 else -1.0
-    start = HOLDS if slider[_SENSE] == 0.0 else slider[_FROM]
-    if slider[_SENSE] * sense < 0.0:
-        start = slider[_END]
-    way = abs(e) if start == HOLDS else 0.5 * abs(e - start)
-    over = min(lacks / max(slope, 1e-3 * abs(p.start[j, 1 + j])), way)
-    y = way - over if start == HOLDS else way - 0.5 * over
+    now, back = measured - found[damping] * phi[damping], slider[_SENSE] * sense
+    start = HOLDS if slider[_SENSE] == 0.0 else slider[_END] if back < 0.0 else slider[_FROM]
+    part, way = (1.0, abs(e)) if start == HOLDS else (0.5, abs(e - start))
+    way = max(way, abs(moved))
+    rise = abs(now - slider[_AT]) if back <= 0.0 else 0.0
+    slope = max(slope, (rise + lacks) / way)
+    over = lacks / slope
+    if over >= part * way:  # it did not begin before the motion
+        return y
+    y = part * (way - over)
     copy(len(law), p.start[j], law)
-    law[0], law[1 + j], law[damping] = found[0], slope, found[damping]
-    along[0], along[1], along[2] = e - sense * (over + y), -1.0, 0.0
-    along[3], along[4] = 1.0, y
-    for i in range(5):
-        for k in range(5):
+    law[0], law[1 + j], law[damping] = 0.0, slope, found[damping]
+    law[0] = measured + sense * lacks - dot(len(law), law, phi)
+    along[:] = 0.0
+    along[0], along[1], along[3], along[4] = e - sense * (over + y), -1.0, 1.0, y
+    for i in range(8):
+        for k in range(8):
             covariance[i, k] = slope * slope * along[i] * along[k]
     covariance[0, 0] += p.prior[j, 0]
     covariance[1, 1] += p.prior[j, 1 + j]
     covariance[2, 2] += p.prior[j, damping]
+    covariance[3, 3] += 2.0 * p.observed[j, 0] * (slope / way) ** 2  # of the ends of the way
     covariance[4, 4] += slope * slope * moved * moved  # the corner may lie a sample away
+    covariance[5, 5] = p.observed[j, 0]
     slider[:] = 0.0
     state.past[j] = 0.0
     slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
-    slider[_FROM], slider[_END] = start, e
+    slider[_FROM], slider[_END], slider[_AT] = start, e, now
     phi[p.place] = sense * y
-    _variance(p, state, j, phi, y)
+    slider[_SPREAD] = _variance(p, state, j, phi, y)
     return y
 
 
@@ -218,32 +282,48 @@ def follow_corner(
     measured: float,
     y: float,
     remembered: float,
+    moves: bool,
 ) -> float:
     """Update the law of spring j with its force; give y, and change z in ``phi`` accordingly.
 
     ``work`` is as `expect_corner` or `begin_corner` has left it. The structure has ``remembered``
-    such a part of an impulse for a step.
+    such a part of an impulse for a step. Where the spring does not move, p and errors change only.
     """
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
-    factors, gain, damping = state.work[0], state.work[1], 1 + len(p.start) + j
-    past, per_variance = state.past[j], 1.0 / (p.noise[j] + dot(5, factors, gain))
-    share = per_variance * (measured - _force(law, phi, p.place, factors, slider))
-    of_past = dot(5, past, factors)
-    slider[MENDED] = of_past * share
-    for i in range(5):
-        before = past[i] - of_past * gain[i] * per_variance
-        past[i] = remembered * before + gain[i] * p.noise[j] * per_variance
-    law[0] += gain[0] * share
-    law[1 + j] += gain[1] * share
-    law[damping] += gain[2] * share
-    law[p.place] += gain[3] * share
-    slider[_FORCE] += gain[4] * share
-    for i in range(5):
-        for k in range(5):
-            covariance[i, k] -= gain[i] * gain[k] * per_variance
+    factors, gain, taken, left = state.work[0], state.work[1], state.work[2], state.work[3]
+    damping, past, variance = 1 + len(p.start) + j, state.past[j], slider[_SPREAD]
+    missed = measured - _force(p, state, j, phi)
+    of_past = dot(8, past, factors) / variance
+    for i in range(8):
+        taken[i] = gain[i] / variance if moves or i == 0 or i >= 5 else 0.0
+        left[i] = taken[i] * variance - gain[i]
+    sharpen(8, taken, left, gain, covariance)
+    for i in range(8):  # an error of the motion is none of the force
+        past[i] = remembered * (past[i] - of_past * gain[i]) + dot(5, covariance[i], factors)
+    slider[MENDED], slider[SHIFT] = of_past * missed, 0.0
+    law[0] += taken[0] * missed
+    law[1 + j] += taken[1] * missed
+    law[damping] += taken[2] * missed
+    law[p.place] += taken[3] * missed
+    slider[_FORCE] += taken[4] * missed
+    slider[_ERROR] += taken[5] * missed
+    slider[_START] += taken[6] * missed
     if not _yields(p, law, j) or slider[_FORCE] <= 0.0:
         slider[STAGE] = _BEGUN
         return y
-    y = slider[_FORCE] / law[p.place]
-    phi[p.place] = factors[3] + slider[_SENSE] * y
-    return y
+    slider[SHIFT] = slider[_SENSE] * (slider[_FORCE] / law[p.place] - y)
+    phi[p.place] += slider[SHIFT] + slider[_STICKS] * (taken[5] - taken[6]) * missed
+    return slider[_FORCE] / law[p.place]
+
+
+@compiled
+def sharpen(q: int, taken: Floats, left: Floats, gain: Floats, p: Floats) -> None:
+    """Take what a sample tells out of a covariance, P += taken left' - gain taken'."""
+    for i in range(q):
+        own, row = taken[i], gain[i]
+        for k in range(0, q, 4):  # all four before the first is stored: it might be one of these
+            one = p[i, k] + (own * left[k] - row * taken[k])
+            two = p[i, k + 1] + (own * left[k + 1] - row * taken[k + 1])
+            three = p[i, k + 2] + (own * left[k + 2] - row * taken[k + 2])
+            four = p[i, k + 3] + (own * left[k + 3] - row * taken[k + 3])
+            p[i, k], p[i, k + 1], p[i, k + 2], p[i, k + 3] = one, two, three, four
