@@ -7,9 +7,15 @@ import pytest
 from detector_samples import ALL, DT, MASS, NOISE, STIFFNESS, N, detect, detectors
 from seft_plant_sim.channels import Derivation, derive_velocity
 from seft_plant_sim.judge import detectors as rows
-from seft_plant_sim.judge.hypotheses import breaks, distance, factorise, product, whiten
+from seft_plant_sim.judge.hypotheses import (
+    BREAKS,
+    factorise,
+    log_opposed,
+    product,
+    whiten,
+)
 from seft_plant_sim.judge.judge import BRANCH, REVISED, judge_arrays
-from seft_plant_sim.judge.judge_step import ask, begin_judge, go_on, judge
+from seft_plant_sim.judge.judge_step import ask, begin_judge, go_on, judge, oppose
 
 X, V, A, F = range(4)
 DAMPING = np.array([[200.0, -20.0], [-20.0, 150.0]])
@@ -90,7 +96,6 @@ def test_chi_squared_is_that_of_the_covariance():
         det = whiten(p.axes[0], room)
         assert det == pytest.approx(np.linalg.det(covariance), rel=1e-6)
         assert product(room, 6, 6) == pytest.approx(expected, rel=1e-6)
-        assert distance(room) == pytest.approx(expected, rel=1e-6)
 
 
 LARGEST = np.abs(motion()[1]).max(axis=0)
@@ -212,14 +217,14 @@ def test_a_wrong_value_that_was_accepted_is_repaired_and_a_sound_one_taken_back(
     late = samples.copy()
     for k in range(AT, LENGTH):
         steps = k - AT + 0.02
-        late[k, A, 1] += jump
-        late[k, V, 1] += jump * steps * DT
-        late[k, X, 1] += 0.5 * jump * (steps * DT) ** 2
-        flow[k, 1] += jump * max(steps - 0.5, 0.0) * DT
+        late[k, A, 0] += jump
+        late[k, V, 0] += jump * steps * DT
+        late[k, X, 0] += 0.5 * jump * (steps * DT) ** 2
+        flow[k, 0] += jump * max(steps - 0.5, 0.0) * DT
     judged, replaced, state = judged_of(late[: AT + 8], flow)
-    assert set(np.flatnonzero(replaced[:, A, 1])) <= {AT, AT + 1}
+    assert set(np.flatnonzero(replaced[:, A, 0])) <= {AT, AT + 1}
     np.testing.assert_array_equal(judged[AT + REVISED :], late[AT + REVISED : AT + 8])
-    assert (state.axes[1].alive[0].wrong[:3] & 15).tolist() == [0, 0, 0]
+    assert (state.axes[0].alive[0].wrong[:3] & 15).tolist() == [0, 0, 0]
     assert not state.counts.any() and not state.replaced.any()
 
 
@@ -300,16 +305,49 @@ def test_the_specimens_force_goes_on_by_what_is_known_of_its_change(change, rise
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_specimen_that_moves_on_loses_more_force_than_it_gained_only_where_it_breaks(sign):
-    _, state = fresh_judge()
-    room = state.room[0]
-    room.covariance[3, 3], room.seen[V] = 100.0, sign * 0.1
-    gains = branch_of((sign * 540.0, sign * 500.0), (9.0, 9.0), (0.0, sign * 0.1, 0.0, 0.0))
-    assert breaks(room, gains, -sign * 80.0)
-    assert not breaks(room, gains, -sign * 60.0)  # it yields, or leaves a stop
-    assert not breaks(room, gains, sign * 80.0)  # it hits one
-    room.seen[V] = -sign * 0.1
-    assert not breaks(room, gains, -sign * 80.0)  # friction turns
+def test_a_specimen_that_moves_on_loses_force_only_where_it_breaks(sign):
+    p, state = fresh_judge()
+    room, known, axis = state.room[0], p.axes[0], state.axes[0]
+    b = branch_of((sign * 540.0, sign * 500.0), (9.0, 9.0))
+    room.noise[:] = NOISE[:, 0] ** 2
+
+    def chance_of(change):
+        room.seen[F], room.seen[A] = sign * (540.0 + change), 0.0
+        return log_opposed(known, axis, room, b, 0)
+
+    room.most[:] = (np.inf, 20.0) if sign > 0.0 else (20.0, np.inf)
+    assert chance_of(-200.0) == BREAKS
+    assert chance_of(-20.0) == pytest.approx(math.log(0.5), rel=1e-6)  # it softens
+    assert chance_of(200.0) == 0.0  # it hits a stop
+    room.which[0] = 0b1000
+    room.amplitude[0, F] = -sign * 200.0
+    assert chance_of(-200.0) > -0.1  # the force is wrong
+    room.most[:] = np.inf
+    room.which[0] = 0
+    assert chance_of(-200.0) == 0.0  # friction turns
+
+
+def opposed_by(last, now):
+    """Largest rise and fall of r of the first axis, by velocities of both axes."""
+    p, state = fresh_judge()
+    raw = np.zeros((4, N))
+    for i in range(N):
+        state.axes[i].alive[0].value[0, V], raw[V, i] = last[i], now[i]
+    oppose(p, state, 0, raw)
+    return state.room[0].most.copy()
+
+
+def test_the_force_may_fall_by_what_springs_and_dampers_make():
+    ground, between = STIFFNESS[0].sum(), -STIFFNESS[0, 1]
+    assert (opposed_by((0.1, 0.0), (-0.1, 0.0)) == np.inf).all()  # it turns
+    assert (opposed_by((0.1, 0.1), (0.1, 0.1)) == np.inf).all()  # between both axes nothing moves
+    rise, fall = opposed_by((0.1, 0.0), (0.2, 0.0))  # both springs are strained further
+    damped = 0.5 * (math.sqrt(ground * MASS[0, 0]) + math.sqrt(between * MASS[0, 0])) * 0.1
+    assert rise == np.inf
+    assert fall == pytest.approx(0.5 * (ground + between) * 0.15 * DT + damped)
+    rise, fall = opposed_by((0.1, 0.3), (0.1, 0.3))  # that between them lets go
+    on, back = ground * 0.1 * DT, between * 0.2 * DT
+    assert (rise, fall) == pytest.approx((2.0 * on + 0.5 * back, 2.0 * back + 0.5 * on))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -75,12 +75,12 @@ def test_a_detector_acts_once_it_is_beyond_its_threshold_for_its_persistence():
     assert lasts == 3
     seen = [1.0, 1.5, 1.25, 1.0, 0.5, 1.5, 1.5, 1.5, 1.75]
     found = [look(p, state, row, 1, 2.0 * each, 2.0) for each in seen]
-    assert found == [False] * 7 + [True, True]
+    assert found == [VALID] * 7 + [row * N + 1] * 2
     assert state.found[:, row, 1].tolist() == [3.5, 2.0]
-    assert not look(p, state, row, 0, 9.0, 0.0)  # a threshold of nothing is none
+    assert look(p, state, row, 0, 9.0, 0.0) == VALID  # a threshold of nothing is none
     assert state.shares[row].tolist() == [0.0, 1.75]
     assert state.counts[row].tolist() == [0, 4]
-    assert not any(look(p, state, rows.OIL, 0, 9.0, 1.0) for _ in range(99))  # it warns
+    assert {look(p, state, rows.OIL, 0, 9.0, 1.0) for _ in range(99)} == {VALID}  # it warns
     assert state.shares[rows.OIL, 0] == 9.0
 
 

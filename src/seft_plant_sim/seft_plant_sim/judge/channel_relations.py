@@ -98,7 +98,7 @@ def compare_channels(
     if relation == OIL and p.rig.imposes:  # its valve may yet saturate, or the specimen stop it
         known = most
     threshold = min(known, most) + rough
-    is_fault = detectors.look(p, state, row, i, abs(off), threshold)
+    fault = detectors.look(p, state, row, i, abs(off), threshold)
     if state.counts[row, i] == 0:
         persistent = p.correlated[relation] * ((rough / NOISE_SIGMAS) ** 2 + left)
         white = 1.0 if relation == OIL else p.correlated[relation]  # the noise of a displacement is
@@ -108,7 +108,7 @@ def compare_channels(
         following.follow(found, covariance, sums, limits, drift, i, off, doubt, moves)
         usual, by_noise = known / NOISE_SIGMAS, noise / NOISE_SIGMAS
         following.remember(scatter, i, off, usual, whole, by_noise, p.rig.dt)
-    return row * sums.shape[1] + i if is_fault else -1
+    return fault
 
 
 @compiled

@@ -11,7 +11,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
-from seft_plant_sim.compiled import compiled, put_first
+from seft_plant_sim.compiled import compiled, copy, put_first
 from seft_plant_sim.judge import detectors, specimen_force
 from seft_plant_sim.judge.channel_relations import begin_relations, find_flow, relations
 from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, look
@@ -89,8 +89,7 @@ def judge_sample(
         state.mean[0, i] = expected(state.estimated[OIL], i, mean, later, 1.0)
     judge(p.judge, state.judge, step, raw, state.mean, judged)
     last, restoring = state.last, state.restoring
-    for i in range(n):
-        restoring[1, i] = state.judge.restoring[i]
+    copy(n, state.judge.restoring, restoring[1])
     if not is_first:
         for i in range(n):
             if judged[1, i] * last[1, i] <= 0.0:
@@ -141,8 +140,7 @@ def look_for_wrong(p: DetectorParameters, state: DetectorState, i: int) -> int:
             count = counts[ANY_ROW, i]
             if counts[SEVERAL_ROW, i] >= MOST:
                 count, most = counts[SEVERAL_ROW, i], MOST
-        if look(p, state, detectors.WRONG + row, i, float(count), most - 0.5) and found < 0:
-            found = (detectors.WRONG + row) * state.last.shape[1] + i
+        found = first_of(found, look(p, state, detectors.WRONG + row, i, float(count), most - 0.5))
         if count > 1 and is_replaced(state.judge, 0, row, i) and p.acts[detectors.WRONG + row]:
             found = first_of(found, detectors.SUSPECT)
     return found
@@ -154,7 +152,7 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
 
     The chances of the others count: what one amplifier or converter gives freezes together.
     """
-    n, found, judge, whole = state.last.shape[1], detectors.VALID, state.judge, 0.0
+    found, judge, whole = detectors.VALID, state.judge, 0.0
     for row in range(4):
         moved = judge.moved[row, i] != 0.0 or not detectors.sees(state, step, row)
         state.repeats[row, i] = 0 if moved else state.repeats[row, i] + 1
@@ -166,8 +164,7 @@ def look_for_frozen(p: DetectorParameters, state: DetectorState, step: int, i: i
         repeats, threshold = float(state.repeats[row, i]), np.inf
         if whole < 0.0 and repeats > 0.0:
             threshold = repeats * math.log(SAME) / whole
-        if look(p, state, detectors.FROZEN + row, i, repeats, threshold) and found < 0:
-            found = (detectors.FROZEN + row) * n + i
+        found = first_of(found, look(p, state, detectors.FROZEN + row, i, repeats, threshold))
         if repeats > SUSPECTED * threshold and p.acts[detectors.FROZEN + row]:
             found = first_of(found, detectors.SUSPECT)
     return found

@@ -240,16 +240,16 @@ DIFFERS, SECOND_ORDER_WORK, WEAKENS, JUMP, FROZEN, WRONG = 0, 3, 4, 5, 6, 10
 @compiled
 def look(
     p: DetectorParameters, state: DetectorState, row: int, i: int, seen: float, threshold: float
-) -> bool:
-    """Compare a detector's value with its threshold; say whether it has persisted and acts."""
+) -> int:
+    """Compare a detector's value with its threshold; give it if that has persisted and it acts."""
     if 0.0 < threshold < np.inf and seen > state.shares[row, i] * threshold:  # no division
         state.shares[row, i] = seen / threshold
     count = state.counts[row, i]
     state.counts[row, i] = count = count + 1 if seen > threshold > 0.0 else max(count - 1, 0)
     if count >= p.persistence[row] and p.acts[row]:
         state.found[0, row, i], state.found[1, row, i] = seen, threshold
-        return True
-    return False
+        return row * state.counts.shape[1] + i
+    return VALID
 
 
 @compiled

@@ -17,6 +17,7 @@ from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState, detectors_of
 from seft_plant_sim.judge.hypotheses import FORCES
+from seft_plant_sim.judge.judge import LASTS
 from seft_plant_sim.limits import Limits, event_ring, exceeds, is_exceeded
 
 SUSPECT_ROW, DRIVE_ROW = 4, 5
@@ -238,7 +239,7 @@ class Guard:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
         elif (found & FAULT and row < WRONG) or len(wrong) < since:
             since = max(since, round(FOUND_IN / self._dt))
-        return last - since - self.parameters.detectors.judge.most
+        return last - since - max(2, round(LASTS / self._dt))  # one may have been accepted before
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

@@ -12,6 +12,7 @@ the chance of this.
 
 import math
 
+import numpy as np
 from seft_msgs_py.arrays import Floats
 
 from seft_plant_sim.compiled import compiled
@@ -45,9 +46,9 @@ ROUNDING = 1e-14
 """Least part of a variance that the others may leave: less is rounding. All channels wrong, without
 a known range of any, leave none."""
 
-BREAKS, NOTICEABLE = math.log(1e-5), 9.0
-"""Part of such events by which a specimen breaks, and the square of a value over its variance from
-which on its sign is known."""
+BREAKS, SURE_SIGN = math.log(1e-5), 3.0
+"""Chance that a specimen breaks where its force changes against the motion, and a velocity over its
+deviation from which on its sign is known."""
 
 HALF_LOG_TURN = 0.5 * math.log(2.0 * math.pi)
 
@@ -102,48 +103,23 @@ def substitute(root: Floats, rest: Floats, size: int) -> float:
 
 
 @compiled
-def distance(c: Record) -> float:
-    """Give chi^2 of the residuals as `whiten` does, but S = L D L': four roots would wait."""
-    part, rest, chi2 = c.root, c.solution, 0.0  # L below the diagonal, D^-1, and L D above it
-    for row in range(4):
-        off, own = c.off[row], c.covariance[row, row]
-        least = max(TINY, ROUNDING * own)
-        for column in range(row):
-            value = c.covariance[row, column]
-            for k in range(column):
-                value -= part[k, row] * part[column, k]
-            factor = value * part[column, column]
-            part[column, row], part[row, column] = value, factor
-            own -= value * factor
-            off -= factor * rest[column]
-        part[row, row], rest[row] = 1.0 / max(own, least), off
-        chi2 += off * off * part[row, row]
-    return chi2
-
-
-@compiled
 def whiten(known: Record, c: Record) -> float:
     """Fill `whitened`, and give det S."""
-    root, w = c.root, c.whitened
-    det = factorise(c.covariance, root, 4)
+    det, w = factorise(c.covariance, c.root, 4), c.whitened
     for row in range(4):
-        for column in range(7):
-            value = c.off[row] if column == 6 else 0.0
-            if column < 4:
-                value = known.now[row, column]
-            elif row == column - 2:  # events add to the last two relations
-                value = 1.0
-            for k in range(row):
-                value -= root[row, k] * w[k, column]
-            w[row, column] = value * root[row, row]
+        for column in range(6):  # events add to the last two relations
+            w[column, row] = known.now[row, column] if column < 4 else 1.0 * (row == column - 2)
+        w[6, row] = c.off[row]
+    for column in range(7):
+        substitute(c.root, w[column], 4)
     return det
 
 
 @compiled
 def product(c: Record, j: int, k: int) -> float:
-    """Product of two columns of `whitened`."""
-    w = c.whitened
-    return w[0, j] * w[0, k] + w[1, j] * w[1, k] + w[2, j] * w[2, k] + w[3, j] * w[3, k]
+    """Product of two rows of `whitened`."""
+    one, other = c.whitened[j], c.whitened[k]
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2] + one[3] * other[3]
 
 
 @compiled
@@ -166,7 +142,7 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float]:
     count = 0
     chosen, factor, solution = c.chosen, c.factor, c.solution
     for j in range(6):
-        c.spread[at, j] = 0.0
+        c.amplitude[at, j] = c.spread[at, j] = 0.0
         if which >> j & 1:
             chosen[count] = j
             count += 1
@@ -176,18 +152,14 @@ def solve(c: Record, which: int, at: int) -> tuple[float, float]:
         solution[a] = c.gram[6, chosen[a]]
     det = factorise(factor, factor, count)
     gain = substitute(factor, solution, count)
-    for a in range(count - 1, -1, -1):
-        value = solution[a]
-        for k in range(a + 1, count):
-            value -= factor[k, a] * c.amplitude[at, chosen[k]]
-        c.amplitude[at, chosen[a]] = value * factor[a, a]
-    for j in range(count):  # the diagonal of the inverse: squares of the columns of the factor's
+    for j in range(count):  # the factor's inverse, transposed, in place of what is above it
         for a in range(j, count):
             value = 1.0 if a == j else 0.0
             for k in range(j, a):
-                value -= factor[a, k] * solution[k]
-            solution[a] = value * factor[a, a]
-            c.spread[at, chosen[j]] += solution[a] * solution[a]
+                value -= factor[a, k] * factor[j, k]
+            factor[j, a] = value * factor[a, a]
+            c.amplitude[at, chosen[j]] += factor[j, a] * solution[a]
+            c.spread[at, chosen[j]] += factor[j, a] * factor[j, a]
     return gain, math.log(det)
 
 
@@ -246,7 +218,8 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
 
     Where several channels of an axis fail together, as by their amplifier, errors go on.
     """
-    which, b, value = c.which[at], axis.alive[c.branch[at]], 0.0
+    which, b = c.which[at], axis.alive[c.branch[at]]
+    value = log_opposed(known, axis, c, b, at)
     together = b.wrong[0] & which & ANY_CHANNEL
     for row in range(4):
         if not which >> row & 1:
@@ -269,7 +242,6 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
             rate += GOES_ON * math.exp(-0.5 * (size / recent) ** 2)
         value += HALF_LOG_TURN + math.log(rate)
         value += log_size(size, c.covariance[3, 3], known.orders, axis.strained)
-        value += BREAKS if breaks(c, b, size) else 0.0
         value += ANOTHER if known.mass == 0.0 else 0.0  # only the next sample can confirm it
         value += RARE if c.forced >> F + 4 & 1 else 0.0  # no specimen jumps beyond a range
     if which & OIL_EVENT:
@@ -281,15 +253,19 @@ def log_amplitudes(known: Record, axis: Record, c: Record, at: int) -> float:
 
 
 @compiled
-def breaks(c: Record, b: Record, size: float) -> bool:
-    """Say whether an event takes force from a specimen that moves on, more than it was gaining.
+def log_opposed(known: Record, axis: Record, c: Record, b: Record, at: int) -> float:
+    """Logarithm of the chance that r changes as it does: not against a motion that goes on.
 
-    What yields, or leaves a stop, gains no more; friction turns when the motion does.
+    A specimen gives no work (Hill 1958): while it moves on its force falls by no more than `oppose`
+    allows, and while it moves back it rises by no more.
     """
-    least, now = math.sqrt(NOTICEABLE * b.variance[0, V]), c.seen[V]
-    opposes = min(b.value[0, V], now) > least if size < 0.0 else max(b.value[0, V], now) < -least
-    lost = abs(size) - abs(b.restoring[0] - b.restoring[1])
-    return opposes and lost > math.sqrt(NOTICEABLE * c.covariance[3, 3])
+    if min(c.most[0], c.most[1]) == np.inf:
+        return 0.0
+    force, a = c.seen[F] - c.amplitude[at, F], c.seen[A] - c.amplitude[at, A]
+    change = force - known.mass * a - c.beside - b.restoring[0]
+    variance = b.blur[0] + c.noise[F] + known.mass**2 * c.noise[A] + axis.scatter + c.doubt
+    margin = min(c.most[0] - change, c.most[1] + change) / math.sqrt(variance)
+    return max(log_below(margin), BREAKS) if margin < 5.0 else 0.0
 
 
 @compiled

@@ -122,11 +122,12 @@ JUDGE_ROOM = np.dtype(
         ("forced", "i8"),  # channels without a number, and those at their ends four bits higher
         ("beside", "f8"),  # force by the acceleration of other axes, N
         ("doubt", "f8"),  # its variance, N^2
+        ("most", "f8", (2,)),  # largest rise and fall of r by the motion, N; infinite: any
         ("off", "f8", (4,)),  # residuals e of the relations
         ("left", "f8", (4,)),  # their variance Q
         ("covariance", "f8", (4, 4)),  # S, of which the lower half is used
         ("root", "f8", (4, 4)),  # its Cholesky factor C
-        ("whitened", "f8", (4, 7)),  # C^-1 times the columns of channels, events, and e
+        ("whitened", "f8", (7, 4)),  # C^-1 times the columns of channels, events, and e
         ("gram", "f8", (7, 7)),  # products of these columns
         ("factor", "f8", (6, 6)),  # Cholesky factor of a set's part of them
         ("solution", "f8", (6,)),
@@ -150,6 +151,8 @@ class JudgeParameters(NamedTuple):
         `AXIS_FACTS` of each axis, and its `AXIS_STATE` before step 0; shape (n,).
     mass : ndarray
         Of the assumed specimen, shape (n, n), kg; 0: not known.
+    springs : ndarray
+        Stiffness between axes, of one (in the diagonal) to the ground, shape (n, n), N/m.
     most : int
         Wrong samples of an axis that end the test, see `LASTS`.
     """
@@ -157,6 +160,7 @@ class JudgeParameters(NamedTuple):
     axes: Record
     rest: Record
     mass: Floats
+    springs: Floats
     most: int
 
 
@@ -230,7 +234,9 @@ def judge_arrays(
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
     first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
-    return JudgeParameters(axes, begun, mass, max(MOST, math.ceil(LASTS / dt - 1e-9))), state
+    springs = np.diag(stiffness.sum(axis=1) + axes.stiffness) - stiffness
+    most = max(MOST, math.ceil(LASTS / dt - 1e-9))
+    return JudgeParameters(axes, begun, mass, springs, most), state
 
 
 def _derive(axes: Record, gain: float, pole: float) -> None:

@@ -35,6 +35,9 @@ from seft_plant_sim.judge.judge import REVISED, UNKNOWN, JudgeParameters, JudgeS
 from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
+OPPOSED, STIFFER, DAMPED = 0.5, 2.0, 0.5
+"""Part of a spring's assumed stiffness by which it may soften, its largest stiffness over that, and
+its largest damper over sqrt(k M): a quarter of critical damping."""
 LIKE = 2.0
 """Size of an event over that of confirmed ones up to which it is like them: twice a friction's."""
 SURE = math.log(1e-4)
@@ -100,7 +103,10 @@ def judge(
             begin_anew(known, axis, c)
         else:
             mean = (flow[0, i], flow[1, i])
-            count = 0 if is_plain(known, axis, c, mean) else weigh(known, axis, c, mean)
+            count = 0
+            if not is_plain(known, axis, c, mean):
+                oppose(p, state, i, raw)
+                count = weigh(known, axis, c, mean)
             decide(known, axis, count)
             note_motion(known, axis, flow[0, i])
         publish(state, i, judged)
@@ -157,6 +163,36 @@ def take(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
                 expected, surprise = a, abs(a - expected)  # it may be wrong by that
             c.beside += p.mass[i, k] * expected
             c.doubt += (p.mass[i, k] * surprise) ** 2
+
+
+def _oppose(p: JudgeParameters, state: JudgeState, i: int, raw: Floats) -> None:
+    """Find how far r may change by the motion, with springs that soften and stops that close.
+
+    Where a spring may turn since the last sample, its friction does, too: any change is possible.
+    """
+    most, known, on, back, damped = state.room[0].most, p.axes[i], 0.0, 0.0, 0.0
+    most[:] = np.inf
+    for k in range(len(p.springs)):
+        spring, noise = p.springs[i, k], known.noise[V]
+        last, now = state.axes[i].alive[0].value[0, V], raw[V, i]
+        if k != i:
+            last, now = last - state.axes[k].alive[0].value[0, V], now - raw[V, k]
+            noise += p.axes[k].noise[V]
+        if spring == 0.0:
+            continue
+        slow = hypotheses.SURE_SIGN * math.sqrt(noise)
+        if not (min(last, now) > slow or max(last, now) < -slow):
+            return
+        strained = 0.5 * known.dt * spring * (last + now)
+        on, back = on + max(strained, 0.0), back + max(-strained, 0.0)
+        damped += DAMPED * math.sqrt(abs(spring) * known.mass) * abs(now - last)
+    if back > 0.0:
+        most[0] = STIFFER * on + OPPOSED * back + damped
+    if on > 0.0:
+        most[1] = STIFFER * back + OPPOSED * on + damped
+
+
+oppose = compiled(_oppose, inline=False)
 
 
 @compiled
@@ -263,8 +299,11 @@ def is_plain(known: Record, axis: Record, c: Record, flow: Flow) -> bool:
     compare_sample(known, axis, c, b, flow)
     copy(4, c.off, c.solution)
     by_noise = hypotheses.substitute(axis.root, c.solution, 4)  # chi^2 by all of S is smaller
-    if not (by_noise < PLAIN or hypotheses.distance(c) < PLAIN):
-        return False
+    if not by_noise < PLAIN:
+        hypotheses.factorise(c.covariance, c.root, 4)
+        copy(4, c.off, c.solution)
+        if not hypotheses.substitute(c.root, c.solution, 4) < PLAIN:
+            return False
     if b.wrong[0] == 0:
         learn(known, axis, c)
     c.which[0] = 0
@@ -323,7 +362,9 @@ def _weigh(known: Record, axis: Record, c: Record, flow: Flow) -> int:
             goes_on = hypotheses.allow_turn(known, axis, c, b) if turns else 0.0
             log_det = math.log(hypotheses.whiten(known, c))
             chi2 = hypotheses.fill_gram(known, c) + goes_on
-            is_sound = is_sound and chi2 < PLAIN
+            if is_sound:
+                hypotheses.solve(c, 0, count)
+                is_sound = chi2 < PLAIN and hypotheses.log_opposed(known, axis, c, b, count) == 0.0
             for which in records.SETS:
                 turn = which & (EVENT | FORCES) == EVENT  # at an unknown time, by a known jump
                 if forced & ~which or which & known.never or turn != turns:
@@ -388,13 +429,6 @@ def continue_branch(known: Record, axis: Record, c: Record, b: Record, to: Recor
                 to.wrong[0] &= ~(1 << row)
         to.value[0, row], to.value[1, row] = value, b.value[0, row]
         to.variance[0, row], to.variance[1, row] = variance, b.variance[0, row]
-    if to.wrong[0] & FORCES == FORCES:  # of accelerations that (2) alone tells, errors alternate
-        last, own = b.value[0, A], to.variance[0, A]
-        part = own / (own + b.variance[0, A] + axis.turned**2)
-        back = part * (last - to.value[0, A])
-        to.value[0, A] += back
-        to.value[0, F] += known.mass * back
-        to.variance[0, A] -= part * own
     if known.gain > 0.0:
         moved = to.value[0, X] - to.value[1, X]
         to.value[0, V] = derived(known.gain, known.pole, to.value[1, V], moved)
@@ -430,10 +464,7 @@ def joins(made: Record, new: int) -> bool:
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
     """Keep of new branches those that agree with the likeliest one on the oldest sample."""
-    best, kept = 0, 1
-    for j in range(1, count):
-        if axis.made[j].weight > axis.made[best].weight:
-            best = j
+    best, kept = likeliest(axis.made.weight, count), 1
     if count:
         axis.alive[0] = axis.made[best]
     first = axis.alive[0]

@@ -23,7 +23,7 @@ from seft_msgs_py.config.facts import POSITION_SERVO
 from seft_msgs_py.errors import InputError
 
 from seft_plant_sim.channels import acceleration_is_derived, least_noise, velocity_is_derived
-from seft_plant_sim.compiled import compiled
+from seft_plant_sim.compiled import compiled, copy, put_first
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.valve_model import NEGLIGIBLE_FLOW
 from seft_plant_sim.lti import TransferFunction, first_order_hold
@@ -258,11 +258,8 @@ def derive_acceleration(
             for j in range(m):
                 new[row] += p.free[i, row, j] * z[j]
             y += p.output[i, row] * new[row]
-        for j in range(m):
-            z[j] = new[j]
-        for j in range(len(past) - 1, 0, -1):
-            past[j] = past[j - 1]
-        past[0] = y
+        copy(m, new, z)
+        put_first(past, y)
         whole = int(p.late[i])
         part, k = p.late[i] - whole, whole + 1
         y = past[k] + part * (past[k + 1] - past[k])

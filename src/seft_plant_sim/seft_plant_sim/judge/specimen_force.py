@@ -17,11 +17,7 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge import detectors
 from seft_plant_sim.judge.detectors import JUMP, WEAKENS, DetectorParameters, DetectorState, look
-from seft_plant_sim.judge.judge_step import LIKE
-
-OPPOSED = 0.5
-"""Part of the assumed stiffness, or of the largest force, by which a specimen may soften: fracture,
-buckling."""
+from seft_plant_sim.judge.judge_step import LIKE, OPPOSED
 
 _SLIP, BREAK, _STIFFEST = 0.35, 0.25, 6.0
 """Largest change of a specimen's force in a step: parts of its largest force, with and against the
@@ -62,10 +58,10 @@ def look_at_restoring_force(
     sticks = slips and jump * measured[1, i] > 0.0  # it carries what it had not been asked for yet
     if event[1] != 0.0 and (is_stop or is_like or sticks):
         threshold = np.inf
-    acts = look(p, state, JUMP, i, abs(jump), threshold)
+    found = look(p, state, JUMP, i, abs(jump), threshold)
     if event[1] != 0.0 and state.counts[JUMP, i] == 1:  # it was known one sample late
-        acts = look(p, state, JUMP, i, abs(jump), threshold)
-    return JUMP * n + i if acts else -1
+        found = look(p, state, JUMP, i, abs(jump), threshold)
+    return found
 
 
 @compiled
@@ -94,8 +90,7 @@ def look_at_work(p: DetectorParameters, state: DetectorState, measured: Floats) 
         work[0] += change * moved
         work[2] += 2.0 * (noise * moved * moved + (p.noise[0, i] * change) ** 2)
     threshold = OPPOSED * work[1] + 6.0 * math.sqrt(work[2]) + p.unknown
-    acts = look(p, state, detectors.SECOND_ORDER_WORK, 0, -work[0], threshold)
-    return detectors.SECOND_ORDER_WORK * n if acts else -1
+    return look(p, state, detectors.SECOND_ORDER_WORK, 0, -work[0], threshold)
 
 
 @compiled
@@ -121,10 +116,9 @@ def look_at_strength(p: DetectorParameters, state: DetectorState, measured: Floa
         return -1
     root = math.sqrt(energy)
     carried = max(state.carried[side, 1], 0.0) * root
-    if look(p, state, row, 0, carried - work, OPPOSED * carried + math.sqrt(noise)):
-        return row * n
+    found = look(p, state, row, 0, carried - work, OPPOSED * carried + math.sqrt(noise))
     if state.counts[row, 0] == 0:
         state.carried[side, 0], state.carried[side, 1] = energy, work / root
         for i in range(n):
             farthest[side, i] = x[i]
-    return -1
+    return found
