@@ -37,7 +37,7 @@ def test_the_corner_of_a_specimen_that_yields_is_found_and_used(seed):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_friction_is_found_though_noise_of_the_displacement_makes_25_newtons(seed):
     (x, v), sticks = sway(0.012, cycles=20.0), 2e-5
-    stop = models.stop_operators(x, np.array([sticks]))[:, 0]
+    stop = stop_operators(x, np.array([sticks]))[:, 0]
     seen = x + 2.6e-6 * np.random.default_rng(seed).standard_normal(len(x))
     _, state, _ = followed(K * x + 190.0 / sticks * stop + 800.0 * v, seen, v, seed=seed)
     assert state.corner.slider[0, STAGE] == FORETELLS
