@@ -29,9 +29,10 @@ it began, begins again at the next corner that it has not foretold. Until it for
 refutes it makes w uncertain.
 
 The law takes the place of the assumed specimen when it has foretold a corner on the other side,
-without which the force would have been missed by `STANDS_OUT` times its noise. Then it is as likely
-as the identified model. From there on likelihoods decide, as for the assumed specimen. Like that
-model it improves its estimate of earlier forces with every sample, see `restoring_model`.
+without which the force would have been missed by `STANDS_OUT` times its noise and the error of w:
+on a linear specimen a small w is chance. Then it is as likely as the identified model. From there
+on likelihoods decide, as for the assumed specimen. Like that model it improves its estimate of
+earlier forces with every sample, see `restoring_model`.
 """
 
 import math
@@ -155,7 +156,8 @@ def expect_corner(
     if slips and slider[_SLID] >= 0.0:
         slider[_SLID] += abs(moved)
         saved = law[p.place] * slider[_SLID]
-        if saved > STANDS_OUT * math.sqrt(p.noise[j]) and _yields(p, law, j):
+        of_saved = p.noise[j] + covariance[3, 3] * slider[_SLID] ** 2
+        if saved > STANDS_OUT * math.sqrt(of_saved) and _yields(p, law, j):
             slider[STAGE] = FORETELLS
     slider[_SPREAD] = variance
     return variance
