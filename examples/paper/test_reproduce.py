@@ -68,7 +68,7 @@ def test_under_the_synthetic_motion_66_of_70_claims_agree(capsys, tmp_path, monk
     for test, error in zip(found["beyond"], (0.0066, 0.005, 0.004), strict=True):
         assert test["stable"]
         assert test["nrmse"] == pytest.approx(error, abs=5e-4)
-    text = page.read_text()
+    text = page.read_text().replace("\u00a0", " ")
     for heading in ("Figure 3", "Figure 4", "Figure 6", "Figure 7", "Figure 8", "Beyond the paper"):
         assert re.search(rf"<h2>{heading}", text)
     assert "66 of 70 claims agree" in text
