@@ -13,7 +13,7 @@ from seft_ros.analysis import calibration_check as checks
 from seft_ros.analysis import equivalent_motion
 from seft_ros.analysis.assessment import IN_LABORATORY, calibration_findings
 from seft_ros.analysis.calibration_check import calibration_check
-from seft_ros.analysis.channel_estimates import expected_relations
+from seft_ros.analysis.channel_estimates import Relation, expected_relations
 from seft_ros.analysis.equivalent_motion import motion_difference
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.analysis.report_numbers import report_numbers
@@ -215,3 +215,26 @@ def test_what_is_folded_down_is_no_error_of_the_ground_motion(monkeypatch):
     assert beyond_noise() == pytest.approx(true, rel=0.2)
     monkeypatch.setattr(equivalent_motion, "without_folding", lambda samples, *_: samples)
     assert beyond_noise() > 1.4 * true
+
+
+def agreed(*masses):
+    """Give the errors of the masses of a test and of its halves, each (estimate, error) or None."""
+    none = np.zeros(1)
+    relations = [one and Relation(*np.array([one]).T, none, none) for one in masses]
+    found = checks.agreeing(relations[0], relations[1:])
+    return [one and float(one.scale_error[0]) for one in found]
+
+
+def test_a_mass_that_its_halves_contradict_is_less_sure():
+    whole, first, second = agreed((0.993, 0.003), (0.997, 0.004), (1.001, 0.006))
+    assert whole == pytest.approx(0.005)
+    assert (first, second) == (whole, 0.006)
+
+
+def test_a_mass_between_those_of_its_halves_keeps_its_error():
+    assert agreed((0.998, 0.003), (0.997, 0.004), (1.001, 0.002)) == [0.003, 0.004, 0.003]
+
+
+@pytest.mark.parametrize("masses", [(None, (1.0, 0.1), None), ((1.0, 0.1), None, None)])
+def test_a_mass_that_nothing_is_compared_with_keeps_its_error(masses):
+    assert agreed(*masses) == [one and one[1] for one in masses]

@@ -34,8 +34,7 @@ def calibration_structure(experiment: Experiment) -> Experiment | None:
     assumed = assumed_structure(experiment)
     if assumed is None and "reference_force" in experiment.sections:
         section = experiment["reference_force"] | {"method": "eft", "mass_ratio": 0.0}
-        alone = Experiment({**experiment.sections, "reference_force": section})
-        return assumed_structure(alone)
+        return assumed_structure(Experiment({**experiment.sections, "reference_force": section}))
     return assumed
 
 
@@ -94,8 +93,8 @@ class CalibrationEffect:
         """Error if the mass is so many times the known one, or the force too large; shape (n,)."""
         more = (factor - 1.0)[:, np.newaxis] * self.mass
         by_mass = self._motion @ np.linalg.solve(self._total + more, -more).T
-        by_force = (1.0 / factor - 1.0) * self._samples[:, FORCE]
-        return max(self._of(by_mass), self._of_force(by_force))
+        by_force = (1.0 - 1.0 / factor) * self._samples[:, FORCE]
+        return max(self._of(by_mass), self.of_zero(by_force))
 
     def of_force_scale(self, factor: Floats) -> float:
         """Error if force and mass are so many times too large, shape (n,): f / s and M_e / s."""
@@ -109,18 +108,13 @@ class CalibrationEffect:
 
     def of_force_lag(self, lag: Floats) -> float:
         """Error if the force is late by so much, shape (n,), s."""
-        return self._of_force(led(self._samples[:, FORCE], lag, self._dt))
+        return self.of_zero(-led(self._samples[:, FORCE], lag, self._dt))
 
-    def of_zero(self, force: Floats, acceleration: Floats) -> float:
+    def of_zero(self, force: Floats | float, acceleration: Floats | float = 0.0) -> float:
         """Error if the channels' zeros are off by so much, shape (N, n) or (n,), N and m/s^2."""
-        if not (np.any(force) or np.any(acceleration)):
-            return 0.0
         states = np.zeros_like(self._samples)
         states[:, FORCE], states[:, ACCELERATION] = -force, -acceleration
         return self._of(EquivalentMotion(self._whole, self._dt).advance(states))
-
-    def _of_force(self, change: Floats) -> float:
-        return self.of_zero(-change, np.zeros(len(self.mass)))
 
     def of_scale(self, scale: Floats) -> float:
         """Error if the displacement is wrong by such a scale and tilt, shape (n, n)."""
@@ -201,11 +195,6 @@ class Deviation:
     error: float
     part: str = ""
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        """The worst has the largest effect, and without one the least likely estimate."""
-        return self.effect, abs(self.estimate - self.told) / self.error
-
 
 def calibration_check(recording: Recording) -> dict[str, Any] | None:
     """Estimate mass, scales and lags of a test, and what they mean for it.
@@ -249,10 +238,12 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         halves, laws = _halves(samples), effect.laws()
-        of_specimen = effect.mass, effect.springs, laws
-        own, *of_halves = inertia(samples, *of_specimen, dt, frequency, [*halves.values()])
+        of_test = samples, effect.mass, effect.springs, laws, dt, frequency
+        own, *of_halves = inertia(*of_test, [*halves.values()])
         before = _known_inertia(experiment, effect.mass)
-        own = _combined(own, before)
+        # what deviates is told of masses that agree; what is not known, of the better estimate
+        agreed, *of_halves = agreeing(own, of_halves)
+        own, agreed = _combined(own, before), _combined(agreed, before)
         relations = list(_relations(experiment, samples, frequency))
         in_parts += _drifts(effect, laws, samples, dt, halves, axes)
         if own is not None:
@@ -264,14 +255,16 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
         if identified.any() and not untrue.any():
             means["force_scale"] = effect.of_force_scale(np.full(len(axes), 1.0 + UNTOLD))
         if "acceleration_range" in recording.saturation:
-            means["clipped"] = effect.of_zero(np.zeros(len(axes)), -_beyond_range(samples, dt))
-        found += _deviations(effect, own, relations, axes)
+            means["clipped"] = effect.of_zero(0.0, -_beyond_range(samples, dt))
+        found += _deviations(effect, agreed, relations, axes)
         for (name, half), own in zip(halves.items(), of_halves, strict=True):
             relations = list(_relations(experiment, samples[half], frequency))
             for one in _deviations(effect.within(half), own, relations, axes):
                 in_parts += [replace(one, part=name)] if one.effect else []
-    for_all = sorted((*found, *in_parts), key=lambda one: one.rank)
-    worst = {one.kind: asdict(one) for one in for_all}
+    # the worst has the largest effect, and without one the least likely estimate
+    for_all = (*found, *in_parts)
+    ranked = sorted(for_all, key=lambda one: (one.effect, abs(one.estimate - one.told) / one.error))
+    worst = {one.kind: asdict(one) for one in ranked}
     numbers = {axis: _numbers(found, axis) for axis in axes}
     return {**dict.fromkeys(_KINDS), **worst, **means, "axes": numbers}
 
@@ -279,11 +272,9 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
 def _beyond_range(samples: Floats, dt: float) -> Floats:
     """Give what accelerations at the range's end lack, by the change of the velocity, (N, n)."""
     v, a = samples[:, 1], samples[:, 2]
-    lacking = np.zeros_like(a)
     moved = (v[2:] - v[:-2]) / dt - 0.5 * (a[:-2] + a[2:]) - a[1:-1]
     is_at_end = np.abs(a[1:-1]) >= (1.0 - _AT_END) * np.abs(a).max()
-    lacking[1:-1] = np.where(is_at_end & (moved * a[1:-1] > 0.0), moved, 0.0)
-    return lacking
+    return np.pad(np.where(is_at_end & (moved * a[1:-1] > 0.0), moved, 0.0), [(1, 1), (0, 0)])
 
 
 def _halves(samples: Floats) -> dict[str, slice]:
@@ -394,7 +385,7 @@ def _drifts(
         if half.stop - half.start < _FEWEST:
             return
         zero, error = channel_estimates.acceleration_zero(x[half], a[half], dt)
-        of_zero = effect.within(half).of_zero(none, significant(zero, error))
+        of_zero = effect.within(half).of_zero(0.0, significant(zero, error))
         yield from _each(of_zero, "drift", "acceleration", axes, (zero, none, error), name)
     if len(springs) != n or np.linalg.cond(springs) > ALIKE_SPRINGS:
         return
@@ -403,7 +394,7 @@ def _drifts(
     every = zip(laws, others.swapaxes(0, 1), (f - inertias).T, strict=True)
     fits = [force_drift(*one) for one in every]
     moved, errors, shapes = (np.stack(each, axis=-1) for each in zip(*fits, strict=True))
-    of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs, none)
+    of_zero = effect.of_zero(significant(moved, errors) * shapes @ springs)
     yield from _each(of_zero, "drift", "force", axes, (moved, none, errors))
 
 
@@ -440,6 +431,20 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
     error = np.where(error > 0, error / np.diag(mass), np.inf)
     none = np.zeros(len(axes))
     return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
+
+
+def agreeing(whole: Relation | None, parts: list[Relation | None]) -> list[Relation | None]:
+    """Widen the error of a test's mass by how far it is outside those of its parts.
+
+    A few windows may agree by chance. Nor is the mass of a part known better than that of all.
+    """
+    masses = [part.scale for part in parts if part]
+    if whole is None or not masses:
+        return [whole, *parts]
+    within = np.clip(whole.scale, np.min(masses, axis=0), np.max(masses, axis=0))
+    least = np.hypot(whole.scale_error, whole.scale - within)
+    every = (whole, *parts)
+    return [one and replace(one, scale_error=np.maximum(one.scale_error, least)) for one in every]
 
 
 def _combined(own: Relation | None, known: Relation | None) -> Relation | None:
