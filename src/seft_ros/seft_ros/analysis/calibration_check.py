@@ -232,9 +232,8 @@ def calibration_check(recording: Recording) -> dict[str, Any] | None:
     frequency, axes = channel_estimates.motion_frequency(samples), experiment.axes
     found, in_parts = list[Deviation](), list[Deviation]()
     means: dict[str, float | None] = dict.fromkeys(_MEANS)
-    names = ("specimen.mass_error", "calibration.force_scale_error")
-    known = (experiment["reference_force"][name] for name in names)
-    identified, untrue = (per_axis(e, axes, f"/**: {n}") for e, n in zip(known, names, strict=True))
+    identified = _of_axes(experiment, "specimen.mass_error")
+    untrue = _of_axes(experiment, "calibration.force_scale_error")
     if frequency > 0:
         effect = CalibrationEffect(structure, samples, dt)
         halves, laws = _halves(samples), effect.laws()
@@ -423,14 +422,17 @@ def _known_inertia(experiment: Experiment, mass: Floats) -> Relation | None:
 
     ``mass`` is the mass matrix that the test used, (n, n), kg.
     """
-    section, axes = experiment["reference_force"], experiment.axes
-    names = ("specimen.mass_error", "calibration.force_lag_error")
-    error, late = (per_axis(section[name], axes, f"/**: {name}") for name in names)
+    error = _of_axes(experiment, "specimen.mass_error")
+    late, none = _of_axes(experiment, "calibration.force_lag_error"), np.zeros_like(error)
     if not error.any():
         return None
     error = np.where(error > 0, error / np.diag(mass), np.inf)
-    none = np.zeros(len(axes))
     return Relation(none + 1.0, error, none, np.where(late > 0, late, np.inf))
+
+
+def _of_axes(experiment: Experiment, name: str) -> Floats:
+    """Give a parameter of the reference-force node for each axis, shape (n,)."""
+    return per_axis(experiment["reference_force"][name], experiment.axes, f"/**: {name}")
 
 
 def agreeing(whole: Relation | None, parts: list[Relation | None]) -> list[Relation | None]:
