@@ -154,12 +154,14 @@ def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
         yield
 
 
+_OF_TYPE = 0x1 | 0x2 | 0x100 | 0x400
+"""Numpy's flags of an array of contiguous rows, contiguous columns, aligned, writeable."""
+
+
 def kind_of(argument: Any) -> Any:
     """Give what numba's type of an argument depends on."""
     if isinstance(argument, np.ndarray):
-        flags = argument.flags
-        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return argument.dtype.char, argument.ndim, layout, flags.writeable, flags.aligned
+        return argument.dtype.char, argument.ndim, argument.flags.num & _OF_TYPE
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
     return type(argument)
