@@ -21,8 +21,7 @@ def zeros[T](of: Callable[..., T], sizes: Mapping[str, int], **given: Any) -> T:
     made = dict(given)
     for name, kind, shape in _shapes(of):
         if name not in given:
-            numbers = [sizes[each] if isinstance(each, str) else each for each in shape]
-            values = np.zeros(numbers, kind)
+            values = np.zeros([sizes[k] if isinstance(k, str) else k for k in shape], kind)
             made[name] = values.view(np.recarray) if kind.names else values
     return of(**made)
 

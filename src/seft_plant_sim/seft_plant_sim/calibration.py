@@ -167,9 +167,11 @@ NOTHING_KNOWN = {
 """What ``calibration.*`` says of a channel of which nothing is known."""
 
 
-def known_channels(section: Mapping[str, Any], axes: Sequence[str]) -> dict[str, Floats]:
+def known_channels(
+    section: Mapping[str, Any], axes: Sequence[str], facts: Iterable[str] = NOTHING_KNOWN
+) -> dict[str, Floats]:
     """Give ``calibration.*`` of a section, by the keys of `NOTHING_KNOWN`, shape (4, n) each."""
-    return {what: per_channel(section, axes, f"calibration.{{}}_{what}") for what in NOTHING_KNOWN}
+    return {what: per_channel(section, axes, f"calibration.{{}}_{what}") for what in facts}
 
 
 class Alignment(NamedTuple):
@@ -343,7 +345,7 @@ def zeroed_at_rest(
         bias; both by channel, a list over the rig's axes, in the channel's unit. What is no more
         than noise is 0. JSON values.
     """
-    own, bias = list(places), known_channels(section, axes)["bias"]
+    own, bias = list(places), known_channels(section, axes, ["bias"])["bias"]
     known = bias[:, own]
     error = samples.std(axis=0) / np.sqrt(len(samples))
     shown = significant(samples.mean(axis=0) - known, error)

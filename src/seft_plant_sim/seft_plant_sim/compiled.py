@@ -116,12 +116,12 @@ def entry_point(function: Any, *arguments: Any, kind: Hashable = None) -> Callab
     if numba.config.DISABLE_JIT:
         return function
     key = function, kind or kind_of(arguments)
-    if key not in _entry_points:  # numba's check takes as long as thousands of steps
+    if (found := _entry_points.get(key)) is None:  # numba's check takes thousands of steps' time
         signature = tuple(numba.typeof(argument) for argument in arguments)
         with _one_at_a_time(function, signature):
             function.compile(signature)
-        _entry_points[key] = function.overloads[signature].entry_point
-    return _entry_points[key]
+        found = _entry_points[key] = function.overloads[signature].entry_point
+    return found
 
 
 def is_at_hand(function: Any, *arguments: Any, kind: Hashable = None) -> bool:
@@ -154,12 +154,14 @@ def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
         yield
 
 
+_OF_TYPE = 0x1 | 0x2 | 0x100 | 0x400
+"""Numpy's flags of an array of contiguous rows, contiguous columns, aligned, writeable."""
+
+
 def kind_of(argument: Any) -> Any:
     """Give what numba's type of an argument depends on."""
     if isinstance(argument, np.ndarray):
-        flags = argument.flags
-        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return argument.dtype.char, argument.ndim, layout, flags.writeable, flags.aligned
+        return argument.dtype.char, argument.ndim, argument.flags.num & _OF_TYPE
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
     return type(argument)
@@ -265,9 +267,8 @@ def bounded(value: float, limit: float) -> float:
 @compiled
 def put_first(line: Floats, value: float) -> None:
     """Put a value before all others of a line, whose last one is lost."""
-    for j in range(len(line) - 1, 0, -1):
-        line[j] = line[j - 1]
-    line[0] = value
+    for j in range(len(line)):  # upwards: the compiler knows that no place is negative
+        line[j], value = value, line[j]
 
 
 @compiled

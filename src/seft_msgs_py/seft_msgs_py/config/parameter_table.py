@@ -31,7 +31,7 @@ def per_axis(value: float | Sequence[float], axes: Sequence[str], where: str) ->
             f"{where}: {array.size} values for {len(axes)} axes [{', '.join(axes)}]; "
             "give one, or one for each axis"
         )
-    return np.full(len(axes), array)
+    return array if array.size == len(axes) else np.full(len(axes), array)
 
 
 def as_matrix(value: float | Sequence[float], axes: Sequence[str], where: str) -> Floats:

@@ -8,7 +8,7 @@ has a persistence.
 import math
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, clear
 
 from seft_plant_sim.channels import ACCELERATION, FORCE
 from seft_plant_sim.compiled import compiled, copy, put_first
@@ -31,8 +31,7 @@ after which a sample is suspect: a chance of 5e-8."""
 
 def begin_detectors(p: DetectorParameters, state: DetectorState) -> None:
     """Begin a test."""
-    for each in state[:-1]:
-        each[...] = 0
+    clear(state[:-1])
     state.step[:] = LONG_AGO
     state.step[detectors.AT_RANGE :] = p.rig.waits - 1  # nothing new is seen before
     begin_relations(p, state)

@@ -333,9 +333,8 @@ def detectors_of(
         noise[ACCELERATION], ranges[ACCELERATION] = section["limits.acceleration"], 0.0
         mass, stiffness = np.zeros_like(mass), np.zeros_like(stiffness)
     bits = section["sensors.adc_bits"]
-    shown = known_channels(section, axes)  # a range is of what a sensor shows
-    bias, scale = (np.abs(shown[what][:, own]) for what in ("bias", "scale"))
-    late = shown["lag"]
+    shown = known_channels(section, axes, ("bias", "scale", "lag"))  # a range is of what is shown
+    bias, scale, late = np.abs(shown["bias"][:, own]), np.abs(shown["scale"][:, own]), shown["lag"]
     known = KnownRig(
         noise=noise,
         limits=np.array([section[f"limits.{name}"] for name in CHANNELS]),

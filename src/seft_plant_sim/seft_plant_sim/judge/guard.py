@@ -209,7 +209,7 @@ class Guard:
 
     def reset(self) -> None:
         """Begin a new test."""
-        clear(self.state)
+        clear(self.state[:-1])
         begin_detectors(self.parameters.detectors, self.state.detectors)
 
     def take(self, step: int, measured: Floats, drive: Floats, sample: Floats) -> int:

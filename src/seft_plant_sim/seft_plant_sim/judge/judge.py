@@ -209,34 +209,35 @@ def judge_arrays(
     """
     n, half, bend = noise.shape[1], 0.5 * dt, dt * dt / 12.0
     state = zeros(JudgeState, {"n": n, "window": round(WINDOW / dt)})
-    axes, begun = np.zeros(n, AXIS_FACTS).view(np.recarray), state.axes.copy()
-    axes.dt, axes.late, axes.noise, axes.range = dt, late, noise.T**2, ranges.T
-    axes.step, axes.imposed, axes.never = steps.T, imposed, imposed * OIL_EVENT
-    axes.recent, axes.brief = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
-    axes.events, axes.oil, axes.leak = math.exp(-dt / EVENT_MEMORY), *oil.T
-    axes.mass, axes.stiffness = np.diag(mass), np.diag(stiffness)
-    axes.precision = (ANY * np.minimum(ranges.T, UNKNOWN)) ** -2.0
-    axes.orders = np.log(1.0 + np.log(np.clip(2.0 * ranges[3] / noise[3], 1.0, UNKNOWN)))
+    axes, begun = np.zeros(n, AXIS_FACTS), np.zeros(n, AXIS_STATE)  # records are slow in Python
+    axes["dt"], axes["late"], axes["noise"], axes["range"] = dt, late, noise.T**2, ranges.T
+    axes["step"], axes["imposed"], axes["never"] = steps.T, imposed, imposed * OIL_EVENT
+    axes["recent"], axes["brief"] = math.exp(-dt / RECENT_MEMORY), math.exp(-dt / BRIEF_MEMORY)
+    axes["events"], axes["oil"], axes["leak"] = math.exp(-dt / EVENT_MEMORY), *oil.T
+    axes["mass"], axes["stiffness"] = np.diag(mass), np.diag(stiffness)
+    axes["precision"] = (ANY * np.minimum(ranges.T, UNKNOWN)) ** -2.0
+    axes["orders"] = np.log(1.0 + np.log(np.clip(2.0 * ranges[3] / noise[3], 1.0, UNKNOWN)))
     for one in range(n):
         k, m, leak = oil[one, 0], mass[one, one], oil[one, 1] * dt
-        axes.now[one] = (
+        axes["now"][one] = (
             *((1.0, -half, bend, 0.0), (0.0, 1.0, -half, 0.0)),
             *((0.0, half * k, -bend * k, 1.0), (0.0, 0.0, -m, 1.0)),
         )
-        axes.before[one] = (
+        axes["before"][one] = (
             *((1.0, half, bend, 0.0), (0.0, 1.0, half, 0.0)),
             *((0.0, -half * k, -bend * k, 1.0 - leak if k else 2.0), (0.0, 0.0, 0.0, 0.0)),
         )
     if derivation.gain:
         _derive(axes, *derivation)
-    begun.count, begun.part, first = 1, ASSUMED**2, begun.alive[:, 0]
+    begun["count"], begun["part"], first = 1, ASSUMED**2, begun["alive"][:, 0]
     first["value"], first["variance"] = (rest[k].T[:, np.newaxis] ** (1 + k) for k in range(2))
     own = np.diag(mass)
     first["restoring"] = (rest[0, 3] - own * rest[0, 2])[:, np.newaxis]
     first["blur"] = (rest[1, 3] ** 2 + own**2 * rest[1, 2] ** 2)[:, np.newaxis]
-    springs = np.diag(stiffness.sum(axis=1) + axes.stiffness) - stiffness
+    springs = np.diag(stiffness.sum(axis=1) + axes["stiffness"]) - stiffness
     most = max(MOST, math.ceil(LASTS / dt - 1e-9))
-    return JudgeParameters(axes, begun, mass, springs, most), state
+    records = axes.view(np.recarray), begun.view(np.recarray)
+    return JudgeParameters(*records, mass, springs, most), state
 
 
 def _derive(axes: Record, gain: float, pole: float) -> None:
@@ -244,10 +245,10 @@ def _derive(axes: Record, gain: float, pole: float) -> None:
 
     Its noise is then gain times that of x, and m = pole m1 - gain (1 - pole) times that of x1.
     """
-    now, before = axes.now, axes.before
-    axes.gain, axes.pole = gain, pole
-    axes.never |= 1 << 1
-    axes.noise[:, 1] = gain * gain * (1.0 - pole) / (1.0 + pole) * axes.noise[:, 0]
+    now, before = axes["now"], axes["before"]
+    axes["gain"], axes["pole"] = gain, pole
+    axes["never"] |= 1 << 1
+    axes["noise"][:, 1] = gain * gain * (1.0 - pole) / (1.0 + pole) * axes["noise"][:, 0]
     before[:, :, 0] += gain * (before[:, :, 1] + (1.0 - pole) * now[:, :, 1])
     before[:, :, 1] -= pole * now[:, :, 1]
     now[:, :, 0] += gain * now[:, :, 1]

@@ -24,7 +24,7 @@ most. Before step 0 the rig is at rest.
 import math
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, clear
 
 from seft_plant_sim.channels import derived
 from seft_plant_sim.compiled import compiled, copy
@@ -67,8 +67,7 @@ Flow = tuple[float, float]
 
 def begin_judge(p: JudgeParameters, state: JudgeState) -> None:
     """Begin a test: the rig is at rest."""
-    for each in state:
-        each[...] = 0
+    clear(each for name, each in zip(state._fields, state, strict=True) if name != "axes")
     state.step[0], state.place[0], state.axes[:] = -1, -1, p.rest
     state.raw[:], state.resolution[:] = p.rest.alive["value"][:, 0, 0].T, p.axes.step.T
 

@@ -139,7 +139,7 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
                 place = oldest + newer[i] + (1 if stretch >= change[i] else 0)
                 motion.work[drive + i] = line[place if place < places else place - places, i]
             read = state.read[(step + 1) % senses]
-            read_sensors(parameters.sensing, motion, stretch, state.shown, read)
+            read_sensors(parameters.sensing, motion, stretch, read)
     for i in range(n):
         state.asked[i] = bounded(command[i], parameters.drive_limit[i])
         line[oldest, i] = state.asked[i]
@@ -152,7 +152,7 @@ def move(parameters: RigParameters, state: RigState, step: int, command: Floats)
     multiply(dynamics.output, motion.work, state.true)
     if senses:
         read = state.read[(step + 1) % senses]
-        read_sensors(parameters.sensing, motion, last, state.shown, read)
+        read_sensors(parameters.sensing, motion, last, read)
     state.oldest[0] = oldest + 1 if oldest + 1 < places else 0
     _note_peaks(n, state.true, state.peaks)
 

@@ -21,7 +21,7 @@ from seft_plant_sim.channels import (
     tilt_of,
     velocity_is_derived,
 )
-from seft_plant_sim.compiled import compiled, multiply
+from seft_plant_sim.compiled import compiled
 from seft_plant_sim.lti import split_dead_time
 from seft_plant_sim.rig_parameters import filter_of
 from seft_plant_sim.simulated.continuous_model import ContinuousModel, Motion, Sensed
@@ -46,14 +46,13 @@ class Sensing(NamedTuple):
 
 
 @compiled
-def read_sensors(
-    sensing: Sensing, motion: Motion, stretch: int, room: Floats, shown: Floats
-) -> None:
-    """Read the sensors whose time is the end of a stretch; ``room`` and the result are (4n,)."""
-    multiply(sensing.output, motion.work, room)
-    for i in range(len(room)):
+def read_sensors(sensing: Sensing, motion: Motion, stretch: int, shown: Floats) -> None:
+    """Read the sensors whose time is the end of a stretch; the result has shape (4n,)."""
+    for i in range(len(shown)):
         if sensing.stretch[i] == stretch:
-            shown[i] = room[i]
+            shown[i] = 0.0
+            for j in range(len(motion.work)):
+                shown[i] += sensing.output[j, i] * motion.work[j]
 
 
 def sensing_of(

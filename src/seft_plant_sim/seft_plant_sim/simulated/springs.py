@@ -141,7 +141,9 @@ def _bouc_wen_slope(laws: Floats, j: int, sign: float, z: float, work: float) ->
         power = power ** laws[j, EXPONENT]
     shape = laws[j, GAMMA] + (laws[j, BETA] if z * sign >= 0.0 else -laws[j, BETA])
     # phi = (A - nu (beta sgn(z e') + gamma) |z / z_y|^n) / eta
-    slope = (amplitude - strength * power * shape) / stiffness
+    slope = amplitude - strength * power * shape
+    if stiffness != 1.0:  # a division takes as long as all before it
+        slope /= stiffness
     if laws[j, SPRING_SLIP]:
         # e' = e_1' + f(z) z', z' = phi(z) e_1', f = sqrt(2 / pi) s / w exp(-(z / w)^2 / 2)
         width = laws[j, SLIP_WIDTH]
