@@ -67,6 +67,13 @@ class RegisteredControl(RegisteredPart):
         return drive
 
 
+_OURS: dict[str, Callable[..., ForceControl]] = {
+    controllers.TRANSFER_FUNCTION: ForceController.from_parameters,
+    controllers.VELOCITY_FEEDFORWARD: VelocityFeedforward,
+    controllers.POSITION_SERVO_METHOD: PositionServo,
+}
+
+
 def force_control(
     section: Section, axes: tuple[str, ...], timebase: Timebase, rig: RigAxes | None = None
 ) -> ForceControl:
@@ -93,12 +100,8 @@ def force_control(
     if name in controllers.FOLLOW_TARGETS and name != fitting:
         kind = f"an actuator of kind {section['actuator.kind']}; make that {fitting}"
         raise InputError(f"force_controller: method {name} does not drive {kind}")
-    if name == controllers.TRANSFER_FUNCTION:
-        return ForceController.from_parameters(section, axes, timebase, own)
-    if name == controllers.VELOCITY_FEEDFORWARD:
-        return VelocityFeedforward(section, axes, timebase, own)
-    if name == controllers.POSITION_SERVO_METHOD:
-        return PositionServo(section, axes, timebase, own)
+    if name in _OURS:
+        return _OURS[name](section, axes, timebase, own)
     inputs = ControlInputs(len(own.axes), timebase.dt, command_limit(section))
     known, where = controllers.REGISTERED_CONTROLLERS, "force_controller: method"
     make = partial(known.make, name, section["settings"], where, inputs)
