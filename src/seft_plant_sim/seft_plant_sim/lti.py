@@ -17,8 +17,7 @@ Polynomial = Floats | Sequence[float]
 MIN_SAMPLES = 4.0
 """Samples in a cycle of the highest frequency that is inverted."""
 OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
-"""Weights in least squares: of errors above that frequency, and of the inverse's own size. They
-make a small drive, and no bend below."""
+"""Weights of errors above it, and of the inverse's size: a small drive, no bend below."""
 
 
 @dataclass(frozen=True)

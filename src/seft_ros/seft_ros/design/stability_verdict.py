@@ -22,8 +22,7 @@ from seft_ros.design.stability_margins import (
 )
 
 SEEN_PERIODS = 6.0
-"""Of the slowest mode with the model's tangents at rest, in which the vibration is seen: a model of
-slower modes shows at least one period of those."""
+"""Of the slowest mode with the tangents at rest, that are seen: of a slower one at least one."""
 SAMPLES_PER_PERIOD = 40
 """Of the fastest mode of the axes, in one of its periods: every so many steps one is used."""
 PULSE_SAMPLES = 4
@@ -31,8 +30,7 @@ PULSE_SAMPLES = 4
 ROWS, LONGEST = 30, 600
 """Samples in a column of the Hankel matrix, at least, and values, at most."""
 PRESENT = 1e-4
-"""Singular value over the largest one, from which on a state is there: what steps and small
-nonlinearities make is below."""
+"""Singular value over the largest from which on a state is there, and no effect of steps."""
 
 
 def modes_with_model(whole: WholeStructure, dt: float) -> Complexes:
@@ -228,8 +226,7 @@ def instability(planned_test: PlannedTest) -> str:
 
 
 FEWEST_SAMPLES = 2.5
-"""In a period of an oscillation, with which accelerations still tell the velocity: at 2.4 the error
-begins to grow, and below 2 the samples show another frequency."""
+"""In a period: at 2.4 the velocity from accelerations errs, below 2 another frequency shows."""
 
 
 def folded(planned_test: PlannedTest) -> str:
