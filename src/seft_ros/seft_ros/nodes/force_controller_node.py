@@ -1,7 +1,6 @@
 """Node ``force_controller``: answers each state and its reference force with the valve command."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -276,4 +275,4 @@ main = FORCE_CONTROLLER_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -4,7 +4,6 @@ It ramps the force down on request of the supervisor, or after a fault of the fo
 ramping_down, at_rest, ended.
 """
 
-import sys
 from functools import partial
 
 import numpy as np
@@ -275,4 +274,4 @@ main = REFERENCE_FORCE_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())
