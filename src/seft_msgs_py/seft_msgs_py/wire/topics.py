@@ -161,10 +161,10 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
         if rigs != [""] and not _NAMESPACE.fullmatch(name):
             without = [axis for axis in axes if "/" not in axis]
             raise InputError(
-                f"axes are {list(axes)}, but {without[0]} names no rig as the others do"
+                f"/**: axes are {list(axes)}, but {without[0]} names no rig as the others do"
                 if without
-                else f"axes are {list(axes)}, but a rig named {name} can't have a namespace: give "
-                "it letters, digits and _, a digit not first"
+                else f"/**: axes are {list(axes)}, but a rig named {name} can't have a namespace: "
+                "give it letters, digits and _, a digit not first"
             )
     return tuple(
         RigAxes(

@@ -251,10 +251,7 @@ class ForceController:
         gain: Floats | None = None,
     ) -> None:
         axes = len(controllers)
-        try:
-            sampled = [bilinear(*each, dt) for each in controllers]
-        except InputError as error:
-            raise InputError(f"force_controller: {error}") from None
+        sampled = [bilinear(*each, dt) for each in controllers]
         orders = {len(a) - 1 for _, a in sampled}
         if len(orders) > 1:
             mend = "give them the same, with leading zeros in the numerator"
