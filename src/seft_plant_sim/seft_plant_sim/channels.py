@@ -81,8 +81,7 @@ MIN_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
 
 def least_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:
     """RMS noise of each sensor, at least `MIN_NOISE`, shape (4, n)."""
-    known = per_channel(section, axes, "sensors.{}_noise")
-    return np.maximum(known, MIN_NOISE[:, np.newaxis])
+    return np.maximum(per_channel(section, axes, "sensors.{}_noise"), MIN_NOISE[:, np.newaxis])
 
 
 def converters(

@@ -317,8 +317,7 @@ class Actuators:
         flow = response.velocity + filling
         left = 1.0 - np.sign(flow) * f / self.force_capacity
         unloaded = np.abs(flow) / np.sqrt(np.where(left > 0.0, left, np.inf))
-        largest: Floats = unloaded.max(axis=0)
-        return largest
+        return unloaded.max(axis=0)
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,7 @@ def _poles(free: Floats, dt: float) -> Complexes:
     blocks = np.moveaxis(free[at], 2, 1).reshape(-1, columns)  # rows x axes
     left, sizes, _ = np.linalg.svd(blocks, full_matrices=False)
     left = left[:, sizes > PRESENT * sizes[0]]
-    shift = np.linalg.lstsq(left[:-axes], left[axes:], rcond=None)[0]
-    z = np.linalg.eigvals(shift)
+    z = np.linalg.eigvals(np.linalg.lstsq(left[:-axes], left[axes:], rcond=None)[0])
     s: Complexes = np.log(z[z.imag > 0.0]).astype(np.complex128) / dt
     oscillating: Complexes = s[(-s.real < np.abs(s)) & (s.imag * dt < np.pi / 2.0)]
     return oscillating[np.argsort(np.abs(oscillating))]

@@ -138,8 +138,9 @@ def precheck(
         elif measured[SUSPECT_ROW, 0] == 0.0:
             take_plan(state, points, measured)
             return True
-        elif has_target:
-            follow_plan(state, parameters.dt)
+        elif has_target:  # it answers what was predicted before samples were suspect
+            extrapolate(state.plan, 1, parameters.dt, state.plan)
+            as_sample(state.plan, parameters.dt, state.sample)
             return True
     begin_stop(parameters, state, command)
     return False
@@ -164,13 +165,6 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
             copy(n, sent[max(0, first + row)], state.plan[point, row])
     for row in range(4):
         copy(n, measured[row], state.sample[row])
-
-
-@compiled
-def follow_plan(state: InterlockState, dt: float) -> None:
-    """Let the controller answer the motion that was predicted before samples were suspect."""
-    extrapolate(state.plan, 1, dt, state.plan)
-    as_sample(state.plan, dt, state.sample)
 
 
 @compiled
@@ -376,8 +370,7 @@ class Interlock:
         command = np.empty(len(self._axes))
         if self._begin(self.parameters, self.state, index, points, measured, command):
             command[:] = self.controller.step(self.state.plan, self.state.sample)
-            limited = self.controller.limited
-            self._end(self.parameters, self.state, index, limited, command)
+            self._end(self.parameters, self.state, index, self.controller.limited, command)
         elif 0 <= self.step_index < index:
             command[:] = self.stop(index)[0]
         return command

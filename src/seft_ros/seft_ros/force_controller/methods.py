@@ -59,8 +59,7 @@ class RegisteredControl(RegisteredPart):
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """See `ForceControl.step`."""
-        wanted: Floats = self._own.step(points[0, -1], state)
-        drive = np.clip(wanted, -self._limit, self._limit)
+        drive = np.clip(self._own.step(points[0, -1], state), -self._limit, self._limit)
         self.limited = bool((np.abs(drive) >= self._limit).any())
         if self.limited and hasattr(self._own, "limited"):
             self._own.limited(drive)

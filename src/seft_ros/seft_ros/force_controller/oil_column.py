@@ -62,8 +62,7 @@ def crossover(valves: Sequence[ValveModel]) -> Floats:
 
 def fastest_feedback(delay: Floats) -> Floats:
     """Crossover frequency that delays of loops allow, s and rad/s, shape (n,)."""
-    fastest = UNKNOWN_PHASE / UNCERTAIN_DELAY
-    return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), fastest)
+    return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), UNKNOWN_PHASE / UNCERTAIN_DELAY)
 
 
 def regulator(
@@ -108,7 +107,7 @@ def regulator(
     mass, certain = _modes(mass, stiffness + np.diag(oil[:, 0]), valves, dt)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
     w = crossover(valves)
-    least = np.linalg.inv(_flow_at(w, oil, mass, stiffness))
+    least = np.linalg.inv((np.eye(n) + (stiffness + mass * w**2) / oil[:, :1]) * w)  # of g
     by_x, by_c = np.split(np.linalg.solve(mass, np.hstack([-stiffness, np.diag(oil[:, 0])])), 2, 1)
     rough = np.zeros((n, len(free)))  # the acceleration as a displacement
     rough[:, :n], rough[:, 2 * n : 3 * n] = certain @ by_x, certain @ by_c
@@ -146,11 +145,6 @@ def cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
 
 def _symmetric(matrix: Floats) -> Floats:
     return 0.5 * (matrix + matrix.T)
-
-
-def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
-    """Flow per displacement at a frequency of each axis, g of Eq. (6), shape (n, n), 1/s."""
-    return (np.eye(len(w)) + (stiffness + mass * w**2) / oil[:, :1]) * w
 
 
 def _modes(

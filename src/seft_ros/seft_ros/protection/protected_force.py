@@ -134,8 +134,7 @@ class RampDown:
 
     def next(self) -> float:
         """Take the factor of the next step, see `next_factor`."""
-        factor: float = self._next(self.steps, self.state)
-        return factor
+        return self._next(self.steps, self.state)
 
 
 @compiled

@@ -161,8 +161,7 @@ class Replay(ABC):
         if len(lost := np.setdiff1d(answered, states)):
             why = f"which {self.node} has answered: what it remembers of it can't be replayed"
             raise InputError(f"the bag lacks rig/state of step {lost[0]}, {why}")
-        unanswered = np.setdiff1d(states, answered)
-        self.note_steps("not answered when recorded, and left out", unanswered)
+        self.note_steps("not answered when recorded, and left out", np.setdiff1d(states, answered))
         unknown = np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states)
         what = "neither rig/state nor its answer is in the bag, and whether the node had them"
         self.note_steps(f"{what} is not known", unknown)

@@ -162,8 +162,7 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
             recording = simulate_test(experiment, build_blocks(experiment))
         else:
             recording = _CACHE.run(experiment)
-        steps = len(recording.states.steps)
-        return summarise_briefly(recording, reference.first(steps)), why
+        return summarise_briefly(recording, reference.first(len(recording.states.steps))), why
     except SeftError as error:
         raise type(error)(f"{test}: {error}") from None
     except Exception as error:
