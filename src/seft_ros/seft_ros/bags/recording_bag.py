@@ -14,14 +14,7 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire import topics
-from seft_msgs_py.wire.messages import (
-    EstimatesCodec,
-    Status,
-    decode_string,
-    encode_diagnostics,
-    encode_string,
-)
+from seft_msgs_py.wire import messages, topics
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, Outcome, rig_status
 from seft_msgs_py.wire.topics import LoopTopic, RigAxes, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -208,7 +201,7 @@ class _TestBag:
         texts = []
         for *_, raw in self.messages([topics.DESCRIPTION]):
             try:
-                texts.append(decode_string(raw))
+                texts.append(messages.decode_string(raw))
             except WireError:
                 self.undecodable += 1
         description, refused = read_description(texts)
@@ -301,22 +294,22 @@ def write_recording(
     """
     timebase, start_ns = recording.experiment.timebase, _start_ns(recording)
     motion = [(first, np.ascontiguousarray(v)[:, np.newaxis]) for first, v in ground_motion or ()]
-    messages, not_finite = _messages(recording, motion)
+    sent, not_finite = _messages(recording, motion)
     environment = {k: v for k, v in recording.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
     described = write_description(recording.experiment.sections, environment, recording.facts)
-    texts = [encode_string(text) for text in described]
+    texts = [messages.encode_string(text) for text in described]
     with BagWriter(path) as bag:
         for text in texts:
             bag.write(topics.DESCRIPTION, text, start_ns)
         time_ns = start_ns
-        for step, topic, raw in messages:
+        for step, topic, raw in sent:
             time_ns = start_ns + timebase.stamp_ns(step)
             bag.write(topic, raw, time_ns)
         if recording.complete and recording.missed is not None:
             statuses = _ending(recording, recording.missed)
-            bag.write(topics.DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
+            bag.write(topics.DIAGNOSTICS, messages.encode_diagnostics(time_ns, statuses), time_ns)
         for text in texts:  # again, for one of the two places may be damaged
             bag.write(topics.DESCRIPTION, text, time_ns)
 
@@ -342,7 +335,7 @@ def _messages(recording: Recording, motion: Sequence[Chunk]) -> tuple[_Messages,
     if (estimates := recording.estimates) is not None:
         kept.append(finite := _finite(estimates))
         not_finite += len(estimates.steps) - len(finite.steps)
-        lines.append(_of_estimates(EstimatesCodec(axes, timebase), finite))
+        lines.append(_of_estimates(messages.EstimatesCodec(axes, timebase), finite))
     if motion:
         steps = np.unique(np.concatenate([series.steps for series in kept]))
         codec = TrajectoryCodec(topics.GROUND_MOTION, axes, timebase)
@@ -368,7 +361,7 @@ def _of_chunks(codec: TrajectoryCodec, motion: Sequence[Chunk], steps: Ints) -> 
         yield step, codec.topic, codec.encode_points(*chunk)
 
 
-def _of_estimates(codec: EstimatesCodec, series: Estimates) -> _Messages:
+def _of_estimates(codec: messages.EstimatesCodec, series: Estimates) -> _Messages:
     for step, values in series.samples():
         known = dict(zip(series.names, values, strict=True))
         yield step, topics.ESTIMATES, codec.encode(step, known)
@@ -377,7 +370,7 @@ def _of_estimates(codec: EstimatesCodec, series: Estimates) -> _Messages:
 _OF_THE_END = ("missed_steps", "wall_s", "trip", "saturation", "round_trips", "simulated")
 
 
-def _ending(recording: Recording, missed: int) -> list[Status]:
+def _ending(recording: Recording, missed: int) -> list[messages.Status]:
     """Give the last statuses of the rigs; totals of all are reported by the first."""
     sampled = recording.series[topics.RIG_STATE.name].steps
     known = {name: getattr(recording, name) for name in _OF_THE_END}

@@ -11,15 +11,9 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.computed.computed_model import SMALL_DISPLACEMENT
 from seft_plant_sim.whole_structure import ModelledStructure, WholeStructure
 
+from seft_ros.design import stability_margins as margin
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import lightly_damped, roots_of
-from seft_ros.design.stability_margins import (
-    MarginEnd,
-    Margins,
-    Progress,
-    find_margins,
-    margin_ends,
-)
 
 SEEN_PERIODS = 6.0
 """Of the slowest mode with the tangents at rest, that are seen: of a slower one at least one."""
@@ -197,25 +191,20 @@ class Preflight:
     verdict: _Verdict
     reasons: list[str]
     promise: str
-    margins: Margins
-    ends: list[MarginEnd]
+    margins: margin.Margins
+    ends: list[margin.MarginEnd]
     modes: list[Mode]
 
 
-def check_stability(planned_test: PlannedTest, progress: Progress | None = None) -> Preflight:
+def check_stability(test: PlannedTest, progress: margin.Progress | None = None) -> Preflight:
     """Find stability, margins and predicted errors of a test; ``progress``: see `find_margins`."""
-    margins = find_margins(planned_test, progress)
-    ends, unstable = list(margin_ends(planned_test, margins)), not planned_test.is_stable()
+    margins = margin.find_margins(test, progress)
+    ends, unstable = list(margin.margin_ends(test, margins)), not test.is_stable()
     reasons = [end.reason for end in ends if end.decides and not unstable]
-    reasons += [instability(planned_test)] if unstable else []
-    return Preflight(
-        verdict="unstable" if unstable else "marginal" if reasons else "stable",
-        reasons=reasons,
-        promise=_promise(planned_test),
-        margins=margins,
-        ends=ends,
-        modes=[] if unstable else predicted_modes(planned_test),
-    )
+    reasons += [instability(test)] if unstable else []
+    verdict: _Verdict = "unstable" if unstable else "marginal" if reasons else "stable"
+    modes = [] if unstable else predicted_modes(test)
+    return Preflight(verdict, reasons, _promise(test), margins, ends, modes)
 
 
 def instability(planned_test: PlannedTest) -> str:
