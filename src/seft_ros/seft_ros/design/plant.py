@@ -251,11 +251,7 @@ _IMAGES = np.arange(-20, 21)  # of a motion in held commands: they fall with the
 
 
 def held_relations(
-    plant: Plant,
-    frequencies_hz: Floats,
-    dt: float,
-    lag: Floats,
-    filters: tuple[Floats, Floats],
+    plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats, filters: tuple[Floats, Floats]
 ) -> tuple[Complexes, Floats]:
     """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
 
