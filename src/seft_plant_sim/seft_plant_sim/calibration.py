@@ -309,8 +309,7 @@ def lacking(own: Floats, common: Floats, dt: float) -> tuple[Floats, Floats]:
     ratio = np.array([1.0, p - of_p, q - of_q - of_p * (p - of_p)])  # its series in s dt
     powers = np.arange(3.0)
     series = np.array([np.ones(3), -powers, powers**2 / 2.0])  # those of 1, z, z^2
-    wanted = np.convolve(series @ denominator, ratio)[:3]
-    numerator: Floats = np.linalg.solve(series, wanted)
+    numerator: Floats = np.linalg.solve(series, np.convolve(series @ denominator, ratio)[:3])
     return numerator, denominator
 
 

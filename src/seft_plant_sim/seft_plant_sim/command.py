@@ -116,8 +116,7 @@ class Command:
         If a message has points of later steps, the point of the sample's step is used, or the last.
         """
         age, points = self.newest
-        value: Floats = points[min(age, len(points) - 1)]
-        return value
+        return points[min(age, len(points) - 1)]
 
     @property
     def newest(self) -> tuple[int, Floats]:

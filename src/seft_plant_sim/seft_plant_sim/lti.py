@@ -17,8 +17,7 @@ Polynomial = Floats | Sequence[float]
 MIN_SAMPLES = 4.0
 """Samples in a cycle of the highest frequency that is inverted."""
 OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
-"""Weights in least squares: of errors above that frequency, and of the inverse's own size. They
-make a small drive, and no bend below."""
+"""Weights of errors above it, and of the inverse's size: a small drive, no bend below."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +125,11 @@ def bilinear(
     num = np.trim_zeros(np.asarray(numerator, dtype=np.float64), "f")
     den = np.trim_zeros(np.asarray(denominator, dtype=np.float64), "f")
     if not den.size:
-        raise InputError("denominator is zero")
+        raise InputError("force_controller: denominator is zero")
     if num.size > den.size:
         what = f"numerator of degree {num.size - 1} over denominator of degree {den.size - 1}"
-        raise InputError(f"the controller is improper: {what}; add poles to the denominator")
+        mend = "add poles to the denominator"
+        raise InputError(f"force_controller: the controller is improper: {what}; {mend}")
     order = den.size - 1
 
     def substitute(polynomial: Floats) -> Floats:
@@ -144,7 +144,7 @@ def bilinear(
     b, a = substitute(num), substitute(den)
     if abs(a[0]) <= 1e-12 * np.abs(a).max():
         why = "where the bilinear transform does not exist; use another rate"
-        raise InputError(f"the controller has a pole at {2 / dt:g} rad/s, {why}")
+        raise InputError(f"force_controller: there is a pole at {2 / dt:g} rad/s, {why}")
     return b / a[0], a / a[0]
 
 

@@ -180,8 +180,7 @@ class Rig:
         end, then = len(plan) - 1, age - taken
         offset = last - plan[min(then, end)] if then >= 0 else np.zeros_like(last)
         left = left_open(taken, self._safe.closing) if end else 1.0
-        command: Floats = plan[min(age, end)] + left * offset
-        return command
+        return plan[min(age, end)] + left * offset
 
     def stop(self, plan: Floats | None = None, planned: Floats | None = None) -> Stopped | None:
         """Move the valve to its safe command, and come to rest.

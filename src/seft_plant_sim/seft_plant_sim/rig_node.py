@@ -5,7 +5,6 @@ the sampling clock of the test; the supervisor's experiment/state starts and sto
 """
 
 import math
-import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -133,8 +132,7 @@ class RigNode(NodeBody):
         if self._section["hardware"] == SIMULATED:
             return None
         shell, period, now = self._shell, self._timebase.dt, self._clock.monotonic
-        axes = shell.experiment.axes
-        made = HostedHardware(self._section, axes, shell.rig, period, now)
+        made = HostedHardware(self._section, shell.experiment.axes, shell.rig, period, now)
         if not (self._is_realtime or made.can_wait):
             why = f"hardware {self._section['hardware']} can't wait for a command"
             raise InputError(f"rig: pace is lockstep, but {why}; make pace realtime")
@@ -476,4 +474,4 @@ main = RIG_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

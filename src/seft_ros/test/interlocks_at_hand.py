@@ -9,7 +9,7 @@ from seft_ros.force_controller.target_distance import tracking_arrays
 AXES = ("east", "north")
 DT = 0.002
 LIMIT = 10.0  # of the valve, V
-NO_LIMITS = (np.inf,) * 4
+NO_LIMITS = np.inf, np.inf, np.inf, 1000.0  # but of the force, N
 
 
 def of_rig(sample, is_suspect=False, drive=0.0):
@@ -50,7 +50,7 @@ class Scripted:
 def watched(controller, axes=AXES, limits=NO_LIMITS, **words):
     """An interlock that closes the valve in five steps, and knows the sensors."""
     watching = tracking((1e-6, 1e-3, 1e-3, 1.0), axes=len(axes), **words)
-    return Interlock(controller, axes, 1000.0, 0.02, 5 * DT, limits, True, watching, DT)
+    return Interlock(controller, axes, 0.02, 5 * DT, limits, watching, DT)
 
 
 def left(taken):

@@ -90,7 +90,7 @@ def test_a_plant_that_answers_at_once_is_sampled_with_the_step_of_latency_alone(
     z = np.exp(2j * np.pi * f * 0.002)
     nothing = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
     for dead_time, steps in ((0.0, 1), (0.001, 2)):
-        plant = Plant("identified", *nothing, np.array([[5.0]]), dead_time)
+        plant = Plant("identified", *nothing, np.array([[5.0]]), dead_time, np.zeros(1))
         assert plant.sampled_response(f, 0.002) == pytest.approx(5.0 / z**steps)
 
 

@@ -24,10 +24,10 @@ from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock
 from seft_ros.protection.protected_force import extrapolated
 
 
-def interlock(gain=1.0, longest_saturation=0.5, has_valve=True):
+def interlock(gain=1.0, longest_saturation=0.5, has_valve=True, limits=NO_LIMITS):
     controller = ForceController([([gain], [1.0])] * len(AXES), LIMIT, DT)
-    ends = 1000.0, longest_saturation, 0.0, NO_LIMITS, has_valve
-    return Interlock(controller, AXES, *ends, tracking(has_valve=has_valve), DT)
+    ends = longest_saturation, 0.0, limits, tracking(has_valve=has_valve)
+    return Interlock(controller, AXES, *ends, DT)
 
 
 def state(east=0.0, north=0.0):
@@ -44,7 +44,7 @@ def test_it_is_the_controller_itself_while_all_is_well():
     guarded, bare = interlock(), ForceController([([1.0], [1.0])] * 2, LIMIT, DT)
     rng = np.random.default_rng(1)
     for step in range(200):
-        asked, measured = force(*rng.normal(0, 300, 2)), state(*rng.normal(0, 300, 2))
+        asked, measured = force(*rng.uniform(-900, 900, 2)), state(*rng.uniform(-900, 900, 2))
         expected = bare.step(asked, measured)
         np.testing.assert_array_equal(stepped(guarded, step * 1000, asked, measured), expected)
     assert guarded.reason == ""
@@ -75,7 +75,7 @@ def test_what_is_no_number_never_gets_into_the_recursion(value):
 @pytest.mark.parametrize("row", range(4))
 def test_a_judged_sample_beyond_a_limit_trips(row, axis):
     limits, unit = (0.25, 0.5, 20.0, 5000.0), ("m", "m/s", "m/s^2", "N")[row]
-    guarded = Interlock(Scripted(1, 1), AXES, 1000.0, 0.5, 0.0, limits, True, tracking(), DT)
+    guarded = Interlock(Scripted(1, 1), AXES, 0.5, 0.0, limits, tracking(), DT)
     raw = np.zeros((4, 2))
     raw[row, axis] = limits[row]
     assert np.any(stepped(guarded, 0, force(0.0, 0.0), raw))
@@ -90,7 +90,7 @@ def test_a_judged_sample_beyond_a_limit_trips(row, axis):
 
 
 def test_forces_may_be_as_large_as_floats_can_be_without_being_called_no_number():
-    guarded = interlock()
+    guarded = interlock(limits=(np.inf,) * 4)
     with np.errstate(over="ignore"):
         stepped(guarded, 0, force(999.0, 0.0), state(east=1e307, north=-1e307))
     assert guarded.reason == ""
@@ -264,11 +264,9 @@ def test_an_interlock_is_made_of_its_section():
     words = ("/**:limits.force:=900.0", "rig:safe.close_time:=0.03")
     words += ("force_controller:watchdog.saturation_time:=0.1",)
     section, axes, experiment = section_of(*words)
-    controller = Scripted(1, 1)
-    of_all = (controller, section, axes, experiment.timebase)
     for rig in (None, *experiment.rigs):
-        made = Interlock.from_parameters(*of_all, rig)
-        assert (made.parameters.largest, made.parameters.window) == (900.0, 500)
+        made = Interlock.from_parameters(section, axes, experiment.timebase, rig)
+        assert (made.parameters.limits[3], made.parameters.window) == (900.0, 500)
         assert made.parameters.closing == pytest.approx(15.0)
         assert len(made.state.saturated) == 51
         own = axes if rig is None else rig.axes

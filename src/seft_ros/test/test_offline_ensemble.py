@@ -196,7 +196,9 @@ def test_a_controller_of_another_package_is_not_compiled(monkeypatch):
     def interlock_of(experiment):
         axes, timebase = experiment.axes, experiment.timebase
         own = RegisteredControl(Own, "own", ControlInputs(len(axes), timebase.dt, 10.0))
-        return Interlock.from_parameters(own, experiment["force_controller"], axes, timebase)
+        made = Interlock.from_parameters(experiment["force_controller"], axes, timebase)
+        made.controller = own
+        return made
 
     monkeypatch.setattr(blocks, "interlock_of", interlock_of)
     assert "another package" in BlockCache().why_not_compiled(load())

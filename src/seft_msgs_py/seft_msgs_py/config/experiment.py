@@ -86,10 +86,7 @@ class Experiment:
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but names must differ")
         if not "".join(self.axes).isprintable():
             raise InputError(f"{EVERY_NODE}: axes are {list(self.axes)}, but must be printable")
-        try:
-            self.rigs = rigs_of(self.axes)
-        except InputError as error:
-            raise InputError(f"{EVERY_NODE}: {error}") from None
+        self.rigs = rigs_of(self.axes)
         for name in (one for one in (*BY_AXIS, *MATRICES) if one in known):
             fit = as_matrix if name in MATRICES else per_axis
             fit(known[name][1], self.axes, f"{EVERY_NODE}: {name}")

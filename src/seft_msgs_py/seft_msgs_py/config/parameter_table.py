@@ -270,8 +270,7 @@ class Table:
         for name, value in given.items():
             row = self.rows.get(name)
             if row is None:
-                hint = nearest(name, self.rows)
-                raise InputError(f"{where}: there is no parameter {name}{hint}")
+                raise InputError(f"{where}: there is no parameter {name}{nearest(name, self.rows)}")
             checked[name] = row.check(value, where)
         return checked
 

@@ -82,12 +82,11 @@ def take_precedence(pid: int) -> bool:
     for _ in range(_TRIES):
         try:
             session.write_text(str(FIRST_NICENESS))
+            break
         except BlockingIOError:  # the kernel takes ten a second
             MACHINE.sleep(0.1)
         except OSError:
             break  # there is no autogroup, or the process has ended
-        else:
-            break
     return True
 
 

@@ -63,7 +63,7 @@ class Wiring:
         depth: int | None = None,
         wake: bool = True,
         reliable: bool = True,
-    ) -> ReadOne:
+    ) -> None:
         """Give every message of a topic to ``handler`` as bytes, in the main thread.
 
         Parameters
@@ -74,34 +74,28 @@ class Wiring:
             Messages kept while the node is busy; default the topic's.
         wake : bool
             Whether a message ends the waiting; otherwise it is handled when no other has ended it,
-            or on request.
+            or by `catch_up`.
         reliable : bool
             Whether a lost message is sent again. For the loop that would be too late, and
             acknowledging takes a tenth of a step.
-
-        Returns
-        -------
-        callable
-            Handles one message, on request.
         """
         here, receive = replace(topic, name=self._name_here(topic)), self._guarded(handler, topic)
         if self._process.bus.serves(topic):
             full_name = self._endpoint.full_name(here.name)
             self.senders.add(topic, full_name)
             self._process.bus.subscribe(full_name, self.name, receive)
-            read_one = _nothing
         else:
             subscription = self._endpoint.subscribe(here, depth, reliable)
             self.senders.add(topic, subscription.topic_name, subscription)
             if topic in (topics.DIAGNOSTICS, topics.DESCRIPTION):
                 receive = self._of_authors(topic, subscription.topic_name, receive)
             read_one = self._process.add_subscription(subscription, receive, wake)
-        self._readers[topic.name] = read_one
-        return read_one
+            self._readers[topic.name] = read_one
 
     def catch_up(self, topic: Topic) -> None:
         """Handle all messages of a topic that have arrived."""
-        drain(self._readers[topic.name])
+        if topic.name in self._readers:  # those of this process have been delivered already
+            drain(self._readers[topic.name])
 
     def refuse(self, reason: str) -> None:
         """Count a message that was not acted upon; a warning follows, at most once a second."""
@@ -178,8 +172,7 @@ class Wiring:
 
     def _of_authors(self, topic: Topic, full_name: str, receive: Receive) -> Receive:
         """Let through what nodes of the test tell of themselves."""
-        namespace = self._test_namespace
-        authors = Authors(self._endpoint, topic, full_name, namespace, self._nodes)
+        authors = Authors(self._endpoint, topic, full_name, self._test_namespace, self._nodes)
 
         def receive_own(raw: bytes, received_ns: int, gid: bytes) -> bool:
             try:
@@ -195,11 +188,6 @@ class Wiring:
         self.senders.authors.append(authors)
         self._authors.append((authors, receive_own))
         return receive_own
-
-
-def _nothing() -> bool | None:
-    """Read nothing: the messages of this process have been delivered already."""
-    return None
 
 
 def rig_of(endpoint: Endpoint, experiment: Experiment) -> tuple[RigAxes, str]:

@@ -97,8 +97,7 @@ class LocalGraph:
         parsed = [parse_override(word) for word in overrides]
         self.experiment = Experiment.load(self._tables(), files, parsed)
         self.scheduler = Scheduler()
-        timebase = self.experiment.timebase
-        self.graph = MemoryGraph(self.scheduler, timebase, latency, discovery)
+        self.graph = MemoryGraph(self.scheduler, self.experiment.timebase, latency, discovery)
         self.endings: dict[str, int] = {}
         self._tasks: dict[str, Task] = {}
         self._started: list[Task] = []
@@ -296,5 +295,4 @@ class LocalGraph:
         return list((known | {kind.table.node: kind.table for kind in kinds}).values())
 
     def _endpoint(self, node: str) -> MemoryEndpoint:
-        endpoints = self._transports[node].endpoints
-        return next(each for each in endpoints if each.path == node)
+        return next(each for each in self._transports[node].endpoints if each.path == node)

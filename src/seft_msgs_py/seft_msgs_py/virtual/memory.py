@@ -81,8 +81,6 @@ class MemoryGraph:
         Every line of the nodes' logs.
     rules : list of Rule
         What happens to messages from now on.
-    busy : dict of str to float
-        Node -> time that it takes for each message, s.
     """
 
     def __init__(
@@ -97,7 +95,6 @@ class MemoryGraph:
         self.sent: list[Sent] = []
         self.lines: list[Line] = []
         self.rules: list[Rule] = []
-        self.busy: dict[str, float] = {}
         self._endpoints = 0
 
     def identifier(self) -> bytes:
@@ -126,8 +123,7 @@ class MemoryGraph:
         publisher.history.append(raw)
         for reader in publisher.readers:
             if (delay_ns := self._delay_ns(topic, raw, reader)) is not None:
-                deliver = partial(reader.deliver, raw, publisher.identifier)
-                self.scheduler.after(delay_ns, deliver)
+                self.scheduler.after(delay_ns, partial(reader.deliver, raw, publisher.identifier))
 
     def remove(self, endpoint: "MemoryEndpoint") -> None:
         """Take a node off the graph."""
@@ -210,12 +206,10 @@ class MemorySubscription:
     def _take(self) -> tuple[bytes, int, bytes] | None:
         if not self.queue:
             return None
-        taken, graph = self.queue.popleft(), self.endpoint.graph
+        taken = self.queue.popleft()
         if self.endpoint.breaks_next:
             self.endpoint.breaks_next = False
             raise KeyError(self.topic_name)
-        if busy := graph.busy.get(self.endpoint.path):
-            graph.clock.sleep(busy)
         return taken
 
 
@@ -270,8 +264,7 @@ class MemoryEndpoint:
         InputError
             If the node refuses.
         """
-        if self._parameters is None:
-            raise InputError(f"{self.name} has no parameters")
+        assert self._parameters is not None
         table, section, changed = self._parameters
         checked = check_live(self.name, table, {name: value})
         if not table.rows[name].live:

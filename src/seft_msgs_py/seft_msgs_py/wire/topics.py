@@ -106,8 +106,7 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor", "recorder")
 LOOP_NODES = ("rig", "reference_force", "force_controller")
-"""Nodes that work one after the other within a step. The rig comes first: it is the clock, and in
-one process spins for all."""
+"""Nodes of a step, in their order. The rig is the clock, and in one process spins for all."""
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
@@ -162,10 +161,10 @@ def rigs_of(axes: Sequence[str]) -> tuple[RigAxes, ...]:
         if rigs != [""] and not _NAMESPACE.fullmatch(name):
             without = [axis for axis in axes if "/" not in axis]
             raise InputError(
-                f"axes are {list(axes)}, but {without[0]} names no rig as the others do"
+                f"/**: axes are {list(axes)}, but {without[0]} names no rig as the others do"
                 if without
-                else f"axes are {list(axes)}, but a rig named {name} can't have a namespace: give "
-                "it letters, digits and _, a digit not first"
+                else f"/**: axes are {list(axes)}, but a rig named {name} can't have a namespace: "
+                "give it letters, digits and _, a digit not first"
             )
     return tuple(
         RigAxes(
@@ -302,8 +301,7 @@ MEASURED = replace(
     finite=False,  # a sensor may fail
     every_point=True,
 )
-"""Samples as measured, calibrated and aligned, for the recorder alone: `MEASURED_STEPS` in one
-message, or fewer at the end of a test."""
+"""Samples as measured, calibrated and aligned, for the recorder: `MEASURED_STEPS` a message."""
 MEASURED_STEPS = 16
 REFERENCE_FORCE = LoopTopic(
     "reference_force",

@@ -266,7 +266,7 @@ class BagWriter:
         if (kind := source.type) not in self._types:
             definition = source.encoding, source.definition.encode()
             self._types[kind] = self._writer.register_schema(kind, *definition)
-        qos, digest = _qos_text(source.qos), source.digest()
+        qos, digest = _yaml(_qos_of(source.qos)), source.digest()
         metadata = {"offered_qos_profiles": qos, "topic_type_hash": digest}
         known = source.topic, source.serialization, self._types[kind]
         return self._writer.register_channel(*known, metadata)
@@ -292,8 +292,7 @@ class BagWriter:
                 self.trouble = self.trouble or self._cut_off
         while self._file is not None and self._out.data:
             try:
-                part = self._out.data[:_COPIED]
-                written = os.pwrite(self._file.fileno(), part, self._out.stored)
+                written = os.pwrite(self._file.fileno(), self._out.data[:_COPIED], self._out.stored)
                 self._out.stored += written
                 del self._out.data[:written]
             except OSError as error:
@@ -337,8 +336,7 @@ class BagWriter:
 
 def file_reason(error: Exception) -> str:
     """Say in one line why a file can't be read or written."""
-    text: str = getattr(error, "strerror", None) or reason_of(error)
-    return text.splitlines()[0].rstrip(".")
+    return (getattr(error, "strerror", None) or reason_of(error)).splitlines()[0].rstrip(".")
 
 
 @contextmanager
@@ -374,11 +372,6 @@ def _qos_of(offered: str) -> list[Any]:
     with suppress(Exception):  # what another recorder wrote, and nobody here needs
         return list(dump_qos_v9(parse_qos(offered)))
     return []
-
-
-@lru_cache
-def _qos_text(offered: str) -> str:
-    return _yaml(_qos_of(offered))
 
 
 def _metadata(file: str, counts: Mapping[BagSource, int], first: int, last: int) -> str:

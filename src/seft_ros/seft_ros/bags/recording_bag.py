@@ -1,25 +1,20 @@
 """The recording of a test as a bag: read, and written in the form of a recorded one."""
 
+import heapq
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Ints
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError, WireError
-from seft_msgs_py.wire import topics
-from seft_msgs_py.wire.messages import (
-    EstimatesCodec,
-    Status,
-    decode_string,
-    encode_diagnostics,
-    encode_string,
-)
+from seft_msgs_py.wire import messages, topics
 from seft_msgs_py.wire.outcome import FINISHED, RIG, TRIPPED, Outcome, rig_status
 from seft_msgs_py.wire.topics import LoopTopic, RigAxes, Topic
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
@@ -32,7 +27,7 @@ from seft_ros.bags.gathering import (
     SeriesGatherer,
     trip_of_messages,
 )
-from seft_ros.bags.message_blocks import Integers, MessageBlock
+from seft_ros.bags.message_blocks import MessageBlock
 from seft_ros.bags.recording import (
     Description,
     Estimates,
@@ -206,7 +201,7 @@ class _TestBag:
         texts = []
         for *_, raw in self.messages([topics.DESCRIPTION]):
             try:
-                texts.append(decode_string(raw))
+                texts.append(messages.decode_string(raw))
             except WireError:
                 self.undecodable += 1
         description, refused = read_description(texts)
@@ -299,70 +294,83 @@ def write_recording(
     """
     timebase, start_ns = recording.experiment.timebase, _start_ns(recording)
     motion = [(first, np.ascontiguousarray(v)[:, np.newaxis]) for first, v in ground_motion or ()]
-    events, not_finite = _events(recording, motion)
+    sent, not_finite = _messages(recording, motion)
     environment = {k: v for k, v in recording.environment.items() if k != UNDECODABLE}
     if not_finite:
         environment[NOT_FINITE] = not_finite
     described = write_description(recording.experiment.sections, environment, recording.facts)
-    texts = [encode_string(text) for text in described]
-    encoders = _encoders(recording, motion)
+    texts = [messages.encode_string(text) for text in described]
     with BagWriter(path) as bag:
         for text in texts:
             bag.write(topics.DESCRIPTION, text, start_ns)
         time_ns = start_ns
-        for step, which, index in events.tolist():
+        for step, topic, raw in sent:
             time_ns = start_ns + timebase.stamp_ns(step)
-            for topic, encode in encoders[which]:
-                bag.write(topic, encode(step, index), time_ns)
+            bag.write(topic, raw, time_ns)
         if recording.complete and recording.missed is not None:
             statuses = _ending(recording, recording.missed)
-            bag.write(topics.DIAGNOSTICS, encode_diagnostics(time_ns, statuses), time_ns)
+            bag.write(topics.DIAGNOSTICS, messages.encode_diagnostics(time_ns, statuses), time_ns)
         for text in texts:  # again, for one of the two places may be damaged
             bag.write(topics.DESCRIPTION, text, time_ns)
 
 
-_Encode = Callable[[int, int], bytes]
+_Messages = Iterator[tuple[int, Topic, bytes]]  # with the step at which each is sent
 
 
-def _encoders(
-    recording: Recording, motion: Sequence[Chunk]
-) -> dict[int, list[tuple[Topic, _Encode]]]:
-    """Give what makes the messages of an event of its step and index, by topic, see `_events`."""
-    experiment, found = recording.experiment, defaultdict[int, list[tuple[Topic, _Encode]]](list)
-    numbers = {topic.name: number for number, topic in enumerate(topics.STEP_TOPICS)}
-    for topic, rigs in _loop_of(experiment):
-        for rig in rigs:
-            codec = TrajectoryCodec(topic.of(rig), rig.axes, experiment.timebase)
-            if topic is topics.GROUND_MOTION and motion:
-                encode = _of_chunks(codec, motion)
-            else:
-                encode = _of_samples(codec, recording.series[topic.name].values[:, :, rig.places])
-            found[numbers[topic.name]].append((codec.topic, encode))
-    if recording.estimates is not None:
-        encode = _of_estimates(recording.estimates, experiment)
-        found[numbers[topics.ESTIMATES.name]].append((topics.ESTIMATES, encode))
-    return found
+def _messages(recording: Recording, motion: Sequence[Chunk]) -> tuple[_Messages, int]:
+    """Give what is sent in a test, in its order, and count samples that are left out.
+
+    Each message of ``motion`` is sent when the one before it begins.
+    """
+    axes, timebase = recording.experiment.axes, recording.experiment.timebase
+    lines, kept, not_finite = list[_Messages](), list[Series](), 0
+    for topic, rigs in _loop_of(recording.experiment):
+        if topic is topics.GROUND_MOTION and motion:
+            continue
+        series = recording.series[topic.name]
+        kept.append(series if topic is topics.MEASURED else _finite(series))
+        not_finite += len(series.steps) - len(kept[-1].steps)
+        codecs = [TrajectoryCodec(topic.of(rig), rig.axes, timebase) for rig in rigs]
+        lines += map(_of_samples, codecs, rigs, repeat(kept[-1]))
+    if (estimates := recording.estimates) is not None:
+        kept.append(finite := _finite(estimates))
+        not_finite += len(estimates.steps) - len(finite.steps)
+        lines.append(_of_estimates(messages.EstimatesCodec(axes, timebase), finite))
+    if motion:
+        steps = np.unique(np.concatenate([series.steps for series in kept]))
+        codec = TrajectoryCodec(topics.GROUND_MOTION, axes, timebase)
+        lines.insert(0, _of_chunks(codec, motion, steps))
+    return heapq.merge(*lines, key=itemgetter(0)), not_finite
 
 
-def _of_samples(codec: TrajectoryCodec, values: Floats) -> _Encode:
-    return lambda step, index: codec.encode(step, values[index])
+def _finite[Samples: Series](series: Samples) -> Samples:
+    """Leave out samples that fit in no message."""
+    finite = np.isfinite(series.values).all(axis=(1, 2))
+    return series if finite.all() else series.rows(finite)
 
 
-def _of_chunks(codec: TrajectoryCodec, motion: Sequence[Chunk]) -> _Encode:
-    return lambda _, index: codec.encode_points(*motion[index])
+def _of_samples(codec: TrajectoryCodec, rig: RigAxes, series: Series) -> _Messages:
+    for step, values in zip(series.steps.tolist(), series.values[:, :, rig.places], strict=True):
+        yield step, codec.topic, codec.encode(step, values)
 
 
-def _of_estimates(estimates: Estimates, experiment: Experiment) -> _Encode:
-    codec, values = EstimatesCodec(experiment.axes, experiment.timebase), estimates.values
-    return lambda step, index: codec.encode(
-        step, dict(zip(estimates.names, values[index], strict=True))
-    )
+def _of_chunks(codec: TrajectoryCodec, motion: Sequence[Chunk], steps: Ints) -> _Messages:
+    firsts = [first for first, _ in motion]
+    sent_at = np.searchsorted(steps, [firsts[0], *firsts[:-1]])
+    for step, chunk in zip(steps[sent_at[sent_at < len(steps)]].tolist(), motion, strict=False):
+        yield step, codec.topic, codec.encode_points(*chunk)
+
+
+def _of_estimates(codec: messages.EstimatesCodec, series: Estimates) -> _Messages:
+    for step, values in series.samples():
+        known = dict(zip(series.names, values, strict=True))
+        yield step, topics.ESTIMATES, codec.encode(step, known)
 
 
 _OF_THE_END = ("missed_steps", "wall_s", "trip", "saturation", "round_trips", "simulated")
 
 
-def _ending(recording: Recording, missed: int) -> list[Status]:
+def _ending(recording: Recording, missed: int) -> list[messages.Status]:
     """Give the last statuses of the rigs; totals of all are reported by the first."""
     sampled = recording.series[topics.RIG_STATE.name].steps
     known = {name: getattr(recording, name) for name in _OF_THE_END}
@@ -372,38 +380,6 @@ def _ending(recording: Recording, missed: int) -> list[Status]:
     first, *others = (replace(status, name=rig.node(RIG)) for rig in recording.experiment.rigs)
     quiet = {"missed": "0", "missed_steps": "", "overruns": "0", "saturated": "{}"}
     return [first, *(replace(other, values=other.values | quiet) for other in others)]
-
-
-def _events(recording: Recording, motion: Sequence[Chunk]) -> tuple[Integers, int]:
-    """List what is sent in a test, in its order, and count samples that are left out.
-
-    Each message of ``motion`` is sent when the one before it begins.
-
-    Returns
-    -------
-    events : ndarray of int64
-        Shape (M, 3): step, index of the topic in `STEP_TOPICS`, index of the sample or of the
-        message of ground motion.
-    not_finite : int
-        Samples left out.
-    """
-    parts, not_finite = [], 0
-    for which, topic in enumerate(topics.STEP_TOPICS):
-        series = recording.estimates if topic is topics.ESTIMATES else recording.series[topic.name]
-        if series is None or (topic is topics.GROUND_MOTION and motion):
-            continue
-        finite = np.isfinite(series.values).all(axis=(1, 2)) | (topic.name == topics.MEASURED.name)
-        (kept,) = np.nonzero(finite)
-        not_finite += len(series.steps) - len(kept)
-        parts.append(np.stack([series.steps[kept], np.full_like(kept, which), kept], axis=1))
-    if motion:
-        firsts, steps = [first for first, _ in motion], np.unique(np.concatenate(parts)[:, 0])
-        at = np.searchsorted(steps, [firsts[0], *firsts[:-1]])
-        sent = np.flatnonzero(at < len(steps))
-        which = topics.STEP_TOPICS.index(topics.GROUND_MOTION)
-        parts.append(np.stack([steps[at[sent]], np.full_like(sent, which), sent], axis=1))
-    events = np.concatenate(parts)
-    return events[np.lexsort((events[:, 1], events[:, 0]))], not_finite
 
 
 def _start_ns(recording: Recording) -> int:

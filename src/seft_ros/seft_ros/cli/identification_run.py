@@ -192,8 +192,7 @@ class IdentificationTests:
     def _look(self, recording: Recording) -> None:
         """Note how far a test moved the specimen, with what force."""
         if recording.experiment.axes == self.experiment.axes and len(recording.states.steps):
-            moved = np.abs(recording.states.values).max(axis=0)
-            self._largest = np.fmax(self._largest, moved)
+            self._largest = np.fmax(self._largest, np.abs(recording.states.values).max(axis=0))
 
     def largest(self, row: int) -> dict[str, float]:
         """Largest magnitude of a quantity in any test, by axis."""
@@ -261,8 +260,7 @@ class Identification:
             return
         recording = tests.recordings[MULTISINE]
         of_recording = partial(calibrated.MultisineResult.of_recording, plan, recording, sines)
-        first = of_recording(found, known, filters)
-        filters = calibrated.found_filters(opened, band, first)
+        filters = calibrated.found_filters(opened, band, of_recording(found, known, filters))
         told = filters, self.weighed, calibrated.tilt_in(opened, band, filters)
         known = of_recording(found, known, *told).calibrated
         found = identified.identify_from_recordings(known.corrected(opened), None, band)

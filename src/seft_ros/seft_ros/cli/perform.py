@@ -19,7 +19,6 @@ from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
     from seft_ros.ground_motion.ground_motion_block import GroundMotion
-    from seft_ros.test_run.blocks import Blocks
     from seft_ros.test_run.observer import Observer
 
 _SUPERVISOR_TIMEOUT_S = 5.0  # s, in which a supervisor that runs is heard
@@ -180,6 +179,7 @@ def run(
     """
     # beyond 60 lines: its options and its help
     from seft_ros.design import preflight_tables
+    from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.processes import ProcessLayout
     from seft_ros.test_run.run import bag_path
 
@@ -187,13 +187,15 @@ def run(
     experiment = shared.load_experiment(config, param, params_file, external)
     bag = bag_path(experiment, out)
     experiment = _with_measured_delay(experiment)
-    blocks = _blocks(experiment)
+    # making the blocks checks them; an external node has checked its own parameters
+    is_whole = all(table.node in experiment.sections for table in TABLES)
+    blocks = build_blocks(experiment) if is_whole else None
     motion = blocks.ground_motion if blocks else preflight_tables.planned_motion(experiment)
     in_lockstep = experiment.sections.get("rig", {}).get("pace") == "lockstep"
     model = None if in_lockstep else preflight_tables.model_time(experiment, motion)
     if model is not None and (too_slow := model.refusal()):
         raise InputError(too_slow)
-    _check_plan(experiment, blocks, motion, accept_unstable)
+    _check_plan(experiment, motion, accept_unstable)
     layout = ProcessLayout(pin=pin, composed=composed, priority=priority)
     steps = motion.steps if motion else 0
     recording, bag = shared.dds_test(experiment, bag, steps, external or (), layout=layout)
@@ -268,9 +270,7 @@ def _with_measured_delay(experiment: Experiment) -> Experiment:
     return with_loop_delay(experiment, max(delays))
 
 
-def _check_plan(
-    experiment: Experiment, blocks: "Blocks | None", motion: "GroundMotion | None", accept: bool
-) -> None:
+def _check_plan(experiment: Experiment, motion: "GroundMotion | None", accept: bool) -> None:
     """Raise `InputError` for a test that is refused and not accepted; warn of limits far away."""
     from seft_ros.design import plausibility, preflight_tables
 
@@ -278,7 +278,7 @@ def _check_plan(
     by_axis = plausibility.peaks_of(response)
     if wrong := plausibility.unit_refusal(experiment, motion, by_axis):
         raise InputError(wrong)
-    _check_stable(experiment, blocks, accept)
+    _check_stable(experiment, accept)
     beyond = plausibility.excess_text(plausibility.excesses(experiment, response))
     reasons = plausibility.range_refusal(experiment, by_axis), beyond
     if unfit := "; ".join(filter(None, reasons)):
@@ -290,7 +290,7 @@ def _check_plan(
         shared.warn(warning)
 
 
-def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstable: bool) -> None:
+def _check_stable(experiment: Experiment, accept_unstable: bool) -> None:
     """Raise `InputError` for an unstable test that is not accepted; warn if it is not known."""
     from seft_ros.design.planned_tests import PlannedTest
     from seft_ros.design.stability_margins import critical_mass_ratio
@@ -302,7 +302,7 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
         if test.is_stable():
             return
     except NotLinearError as error:
-        recording = shared.simulated_instead(experiment, error, blocks)
+        recording = shared.simulated_instead(experiment, error)
         if not (recording is None or recording.trip is None or accept_unstable):
             raise InputError(
                 "the test is unstable in simulation; see seft simulate, lower reference_force: "
@@ -322,14 +322,3 @@ def _check_stable(experiment: Experiment, blocks: "Blocks | None", accept_unstab
         f"{reason}{where}; see seft preflight, lower reference_force: mass_ratio, choose another "
         "compensation.method, or run it all the same with --accept-unstable"
     )
-
-
-def _blocks(experiment: Experiment) -> "Blocks | None":
-    """Make the blocks of the test, which checks them; None if a node of it runs elsewhere.
-
-    An external node has checked its own parameters.
-    """
-    from seft_ros.test_run.blocks import build_blocks
-
-    is_whole = all(table.node in experiment.sections for table in TABLES)
-    return build_blocks(experiment) if is_whole else None

@@ -25,7 +25,6 @@ from seft_ros.drawing.style import Cell, TextTable
 from seft_ros.test_run.parameter_tables import TABLES
 
 if TYPE_CHECKING:
-    from seft_ros.test_run.blocks import Blocks
     from seft_ros.test_run.processes import ProcessLayout
 
 
@@ -149,20 +148,17 @@ def check_out(out: Path) -> None:
         raise InputError(f"{out}: exists already; name another folder with --out")
 
 
-def offline_test(
-    experiment: Experiment, bag: Path | None, label: str = "", blocks: "Blocks | None" = None
-) -> Recording:
+def offline_test(experiment: Experiment, bag: Path | None, label: str = "") -> Recording:
     """Run a test in one process, with a progress bar, and write its bag, if one is given.
 
-    Its blocks are made here, unless they are given. Raises `InputError` if parameters contradict
-    each other.
+    Raises `InputError` if parameters contradict each other.
     """
     from seft_ros.ground_motion.ground_motion_block import MOTION
     from seft_ros.test_run.blocks import build_blocks
     from seft_ros.test_run.offline import simulate_test
 
     experiment = as_simulated(experiment)
-    blocks = blocks or build_blocks(experiment)
+    blocks = build_blocks(experiment)
     motion = blocks.ground_motion
     with step_progress(motion.steps) as progress:
         recording = simulate_test(experiment, blocks, partial(progress, f"{label}simulating"))
@@ -179,9 +175,7 @@ def offline_test(
     return recording
 
 
-def simulated_instead(
-    experiment: Experiment, why: InputError, blocks: "Blocks | None" = None
-) -> Recording | None:
+def simulated_instead(experiment: Experiment, why: InputError) -> Recording | None:
     """Simulate a test whose stability can't be computed.
 
     None, with a warning, where no simulated rig belongs to it.
@@ -190,9 +184,8 @@ def simulated_instead(
         complain(f"{why}, and there is no simulated rig to test its stability")
         return None
     complain(f"{why}; the test is simulated instead")
-    if experiment["rig"]["faults"]:  # the planned test is assessed, on a fault-free rig
-        experiment, blocks = experiment.changed({"rig": {"faults": ""}}), None
-    return offline_test(experiment, None, blocks=blocks)
+    # the planned test is assessed, on a fault-free rig
+    return offline_test(experiment.changed({"rig": {"faults": ""}}), None)
 
 
 def dds_test(

@@ -156,8 +156,7 @@ def motion(
     samples, dt = block.samples, timebase.dt
     if path is not None:
         title = f"{block.facts['source']}, {timebase.rate:g} Hz"
-        drawn = spectrum.motion_figure(samples, dt, axes, title, block.uncorrected)
-        style.save_figure(drawn, path)
+        style.save_figure(spectrum.motion_figure(samples, dt, axes, title, block.uncorrected), path)
     moving = samples[: block.steps - round(section["tail"] * timebase.rate)]
     if spectrum_file is not None:
         names = ["period (s)", *(f"{axis} pseudo-acceleration (m/s^2)" for axis in axes)]

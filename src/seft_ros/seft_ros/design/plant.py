@@ -96,8 +96,8 @@ class Plant:
         Shapes (s, s), (s, n), (n, s), (n, n); u in V, f in N.
     delay : float
         Dead time, s.
-    late : ndarray, optional
-        Lag of the sensor of each output, s; default none.
+    late : ndarray
+        Lag of the sensor of each output, s.
     """
 
     source: Literal["rig", "identified"]
@@ -106,7 +106,7 @@ class Plant:
     c: Floats
     d: Floats
     delay: float
-    late: Floats | None = None
+    late: Floats
 
     @classmethod
     def of_model(
@@ -117,16 +117,14 @@ class Plant:
         The dead time is that of the slowest actuator.
         """
         first, shown, delay = 0 if motion else 3 * model.b.shape[1], model.shown, model.delay.max()
-        c, d, lags = shown.c[first:], shown.d[first:], shown.late[first:]
-        late = lags if lags.any() else None
-        return cls(source, model.a, model.b, c, d, float(delay), late).without_idle_states()
+        outputs = shown.c[first:], shown.d[first:], float(delay), shown.late[first:]
+        return cls(source, model.a, model.b, *outputs).without_idle_states()
 
     def axis(self, index: int) -> "Plant":
         """Plant of one axis alone, the valves of the others closed."""
         one = slice(index, index + 1)
-        late = None if self.late is None else self.late[one]
-        own = replace(self, b=self.b[:, one], c=self.c[one], d=self.d[one, one], late=late)
-        return own.without_idle_states()
+        own = replace(self, b=self.b[:, one], c=self.c[one], d=self.d[one, one])
+        return replace(own, late=self.late[one]).without_idle_states()
 
     def without_idle_states(self) -> "Plant":
         """Remove states that no valve reaches or no output shows, as those of idle springs."""
@@ -141,8 +139,7 @@ class Plant:
         """Frequency response H_fu(jw) of the first axis, shape (N,), N/V."""
         s = np.asarray(2j * np.pi * frequencies_hz, dtype=np.complex128)
         forces = lti.state_space_response(self.a, self.b, self.c, self.d, s)
-        delay = self.delay if self.late is None else self.delay + self.late[0]
-        return forces[:, 0, 0] * np.exp(-s * delay)
+        return forces[:, 0, 0] * np.exp(-s * (self.delay + self.late[0]))
 
     def sampled(self, dt: float) -> tuple[Floats, Floats, Floats]:
         """Sample the plant exactly: zero-order hold, dead time and the loop's step of latency.
@@ -179,13 +176,12 @@ class Plant:
         c[:, :size] = self.c
         newest = size + (whole + (remainder > 0)) * n
         c[:, newest : newest + n] = self.d
-        return (a, b, c) if self.late is None else self._behind_lags(a, b, c, remainder, dt)
+        return self._behind_lags(a, b, c, remainder, dt) if self.late.any() else (a, b, c)
 
     def _behind_lags(
         self, a: Floats, b: Floats, c: Floats, remainder: float, dt: float
     ) -> tuple[Floats, Floats, Floats]:
         """Put the lags behind a sampled plant; its drive changes ``remainder`` s after a sample."""
-        assert self.late is not None
         (size, n), known = self.b.shape, len(a)
         rows, lines = [], []
         for row, late in enumerate(self.late.tolist()):
@@ -255,11 +251,7 @@ _IMAGES = np.arange(-20, 21)  # of a motion in held commands: they fall with the
 
 
 def held_relations(
-    plant: Plant,
-    frequencies_hz: Floats,
-    dt: float,
-    lag: Floats,
-    filters: tuple[Floats, Floats],
+    plant: Plant, frequencies_hz: Floats, dt: float, lag: Floats, filters: tuple[Floats, Floats]
 ) -> tuple[Complexes, Floats]:
     """Velocity and acceleration of a rig whose channels agree, over the derivatives of x.
 

@@ -11,19 +11,12 @@ from seft_msgs_py.arrays import Complexes, Floats
 from seft_plant_sim.computed.computed_model import SMALL_DISPLACEMENT
 from seft_plant_sim.whole_structure import ModelledStructure, WholeStructure
 
+from seft_ros.design import stability_margins as margin
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import lightly_damped, roots_of
-from seft_ros.design.stability_margins import (
-    MarginEnd,
-    Margins,
-    Progress,
-    find_margins,
-    margin_ends,
-)
 
 SEEN_PERIODS = 6.0
-"""Of the slowest mode with the model's tangents at rest, in which the vibration is seen: a model of
-slower modes shows at least one period of those."""
+"""Of the slowest mode with the tangents at rest, that are seen: of a slower one at least one."""
 SAMPLES_PER_PERIOD = 40
 """Of the fastest mode of the axes, in one of its periods: every so many steps one is used."""
 PULSE_SAMPLES = 4
@@ -31,8 +24,7 @@ PULSE_SAMPLES = 4
 ROWS, LONGEST = 30, 600
 """Samples in a column of the Hankel matrix, at least, and values, at most."""
 PRESENT = 1e-4
-"""Singular value over the largest one, from which on a state is there: what steps and small
-nonlinearities make is below."""
+"""Singular value over the largest from which on a state is there, and no effect of steps."""
 
 
 def modes_with_model(whole: WholeStructure, dt: float) -> Complexes:
@@ -74,8 +66,7 @@ def _poles(free: Floats, dt: float) -> Complexes:
     blocks = np.moveaxis(free[at], 2, 1).reshape(-1, columns)  # rows x axes
     left, sizes, _ = np.linalg.svd(blocks, full_matrices=False)
     left = left[:, sizes > PRESENT * sizes[0]]
-    shift = np.linalg.lstsq(left[:-axes], left[axes:], rcond=None)[0]
-    z = np.linalg.eigvals(shift)
+    z = np.linalg.eigvals(np.linalg.lstsq(left[:-axes], left[axes:], rcond=None)[0])
     s: Complexes = np.log(z[z.imag > 0.0]).astype(np.complex128) / dt
     oscillating: Complexes = s[(-s.real < np.abs(s)) & (s.imag * dt < np.pi / 2.0)]
     return oscillating[np.argsort(np.abs(oscillating))]
@@ -200,25 +191,20 @@ class Preflight:
     verdict: _Verdict
     reasons: list[str]
     promise: str
-    margins: Margins
-    ends: list[MarginEnd]
+    margins: margin.Margins
+    ends: list[margin.MarginEnd]
     modes: list[Mode]
 
 
-def check_stability(planned_test: PlannedTest, progress: Progress | None = None) -> Preflight:
+def check_stability(test: PlannedTest, progress: margin.Progress | None = None) -> Preflight:
     """Find stability, margins and predicted errors of a test; ``progress``: see `find_margins`."""
-    margins = find_margins(planned_test, progress)
-    ends, unstable = list(margin_ends(planned_test, margins)), not planned_test.is_stable()
+    margins = margin.find_margins(test, progress)
+    ends, unstable = list(margin.margin_ends(test, margins)), not test.is_stable()
     reasons = [end.reason for end in ends if end.decides and not unstable]
-    reasons += [instability(planned_test)] if unstable else []
-    return Preflight(
-        verdict="unstable" if unstable else "marginal" if reasons else "stable",
-        reasons=reasons,
-        promise=_promise(planned_test),
-        margins=margins,
-        ends=ends,
-        modes=[] if unstable else predicted_modes(planned_test),
-    )
+    reasons += [instability(test)] if unstable else []
+    verdict: _Verdict = "unstable" if unstable else "marginal" if reasons else "stable"
+    modes = [] if unstable else predicted_modes(test)
+    return Preflight(verdict, reasons, _promise(test), margins, ends, modes)
 
 
 def instability(planned_test: PlannedTest) -> str:
@@ -228,8 +214,7 @@ def instability(planned_test: PlannedTest) -> str:
 
 
 FEWEST_SAMPLES = 2.5
-"""In a period of an oscillation, with which accelerations still tell the velocity: at 2.4 the error
-begins to grow, and below 2 the samples show another frequency."""
+"""In a period: at 2.4 the velocity from accelerations errs, below 2 another frequency shows."""
 
 
 def folded(planned_test: PlannedTest) -> str:

@@ -10,10 +10,11 @@ from seft_msgs_py.config.parameter_table import Section, as_matrix
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes, Timebase
 from seft_plant_sim.compiled import bounded, compiled, copy, entry_point, multiply
-from seft_plant_sim.judge.known_rig import command_limit
+from seft_plant_sim.judge.known_rig import command_limit, read_specimen
 from seft_plant_sim.lti import bilinear
 from seft_plant_sim.rig_parameters import common_lag
 
+from seft_ros.force_controller.stop_path import planned_acceleration, stop_path
 from seft_ros.reference_force.compensator import NotLinearError
 from seft_ros.reference_force.reference_force_parameters import HORIZON_PER_LAG, horizon_steps
 
@@ -250,10 +251,7 @@ class ForceController:
         gain: Floats | None = None,
     ) -> None:
         axes = len(controllers)
-        try:
-            sampled = [bilinear(*each, dt) for each in controllers]
-        except InputError as error:
-            raise InputError(f"force_controller: {error}") from None
+        sampled = [bilinear(*each, dt) for each in controllers]
         orders = {len(a) - 1 for _, a in sampled}
         if len(orders) > 1:
             mend = "give them the same, with leading zeros in the numerator"
@@ -347,14 +345,6 @@ def horizon_of(section: dict[str, Any], dt: float, needed: int, driven: str) -> 
 
 
 @compiled
-def planned_acceleration(points: Floats, i: int, dt: float) -> float:
-    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
-    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
-    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
-    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
-
-
-@compiled
 def as_sample(points: Floats, dt: float, sample: Floats) -> None:
     """Give the sample that a specimen on its target would show.
 
@@ -380,44 +370,52 @@ GAIN_ERROR, DELAY_ERROR = range(2)
 class TargetFollower:
     """Force controller of n axes that follows a target by its future motion.
 
-    A subclass has ``method``, its name, and ``names`` of its errors with their standard deviations
-    at the beginning, ``uncertain``.
+    A subclass has ``method``, its name, ``names`` of its errors with their standard deviations at
+    the beginning, ``uncertain``, and ``functions``, compiled: step(parameters, state, points,
+    measured, command), and stop(parameters, state, path, plan, slowed, commands).
 
     Parameters
     ----------
-    parameters, state : NamedTuple
-        The state has ``errors`` of shape (n, number of errors), and their ``covariance``.
-    functions : tuple of callable
-        Compiled: step(parameters, state, points, measured, command), and stop(parameters, state,
-        plan, slowed, commands).
-    horizon, needed : int
-        Future steps that are known, and those that a step needs.
-    dt : float
-        Sampling period, s.
+    section : dict
+        Of the force controller, for all axes.
+    axes : tuple of str
+        Names of all axes.
+    timebase : Timebase
+        Sampling clock.
+    rig : RigAxes, optional
+        With several rigs, the one that it controls; default all axes.
+
+    Raises
+    ------
+    InputError
+        If what it drives is not known, or the horizon is too short for that.
 
     Attributes
     ----------
     limited, shape
         See `ForceControl`.
-    parameters, state
-        As given; arguments of the step, here and in a compiled loop.
+    parameters, state : NamedTuple
+        Arguments of the step, here and in a compiled loop. The state has ``errors`` of shape (n,
+        number of errors), and their ``covariance``.
     """
 
     method: str
     names: tuple[str, ...]
     uncertain: tuple[float, ...]
+    functions: tuple[Callable[..., Any], Callable[..., Any]]
 
     def __init__(
         self,
-        parameters: Any,
-        state: Any,
-        functions: tuple[Callable[..., Any], Callable[..., Any]],
-        path: Any,
-        horizon: int,
-        needed: int,
+        section: Section,
+        axes: tuple[str, ...],
+        timebase: Timebase,
+        rig: RigAxes | None = None,
     ) -> None:
+        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+        parameters, state, horizon, needed = self._known(section, axes, own, dt)
         self.parameters, self.state = parameters, state
-        n, steps, (step, stop) = len(state.errors), path.steps, functions
+        path = stop_path(*read_specimen(section, axes, own), horizon, dt)
+        n, steps, (step, stop) = len(state.errors), path.steps, self.functions
         self.shape = 1 + horizon, 3
         self._points, self._measured = np.zeros((1 + horizon, 3, n)), np.zeros((4, n))
         self._command, both, self._path = np.zeros(n), (parameters, state), path
@@ -426,6 +424,15 @@ class TargetFollower:
         self._step = entry_point(step, *both, self._points, self._measured, self._command)
         self._stop = entry_point(stop, *both, path, self._points, *self._room)
         self.reset()
+
+    def _known(
+        self, section: Section, axes: tuple[str, ...], own: list[int], dt: float
+    ) -> tuple[Any, Any, int, int]:
+        """Give parameters and state, the future steps that are known, and those that a step needs.
+
+        ``own`` are the places of the rig's axes.
+        """
+        raise NotImplementedError
 
     def reset(self) -> None:
         """Begin a new test."""

@@ -8,8 +8,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from seft_msgs_py.arrays import Floats, Ints, clear, zeros
 from seft_msgs_py.config.experiment import Experiment
-from seft_msgs_py.config.facts import CHANNELS, FORCE_DRIVEN, POSITION_SERVO
+from seft_msgs_py.config.facts import CHANNELS, POSITION_SERVO
+from seft_msgs_py.config.parameter_table import Section
 from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_plant_sim.channels import FORCE
 from seft_plant_sim.compiled import compiled, copy, entry_point, kind_of
 from seft_plant_sim.judge.detector_list import TRACKING, describe
 from seft_plant_sim.judge.guard import DRIVE_ROW, SUSPECT_ROW
@@ -23,8 +25,7 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.protected_force import extrapolate, implausible_force
 
 TRIP, STEP, SATURATED, AXIS = range(4)
-"""Places of the flags: reason and step of the trip, number of limited drives, and the axis that is
-away from its target."""
+"""Flags: reason and step of the trip, number of limited drives, axis away from its target."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, OFF_TARGET, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT
@@ -36,8 +37,6 @@ class InterlockParameters(NamedTuple):
 
     Attributes
     ----------
-    largest : float
-        Magnitude of the reference force beyond which it is implausible, N.
     window : int
         Steps of a second.
     closing : float
@@ -45,9 +44,7 @@ class InterlockParameters(NamedTuple):
     has_stop : bool
         Whether the controller can stop along its plan.
     limits : ndarray
-        Largest displacement, velocity, acceleration and force of a sample, shape (4,).
-    has_valve : bool
-        Whether its commands drive the rig.
+        Largest displacement, velocity, acceleration and force, shape (4,).
     dt : float
         Sampling period, s.
     fastest : float
@@ -56,12 +53,10 @@ class InterlockParameters(NamedTuple):
         Of the distance to the target.
     """
 
-    largest: float
     window: int
     closing: float
     has_stop: bool
     limits: Floats
-    has_valve: bool
     dt: float
     fastest: float
     tracking: target_distance.TrackingParameters
@@ -127,7 +122,7 @@ def precheck(
     if state.flags[TRIP] == NO_TRIP:
         fits, has_target, away = True, state.plan.shape[1] > 1 and last > 0, -1
         for i in range(n):
-            fits &= abs(points[0, last, i]) <= parameters.largest
+            fits &= abs(points[0, last, i]) <= parameters.limits[FORCE]
         if fits and has_target:  # a controller of forces reads them alone
             away = target_distance.off_target(
                 parameters.tracking, state.tracking, step, points[0, 0], measured
@@ -139,8 +134,9 @@ def precheck(
         elif measured[SUSPECT_ROW, 0] == 0.0:
             take_plan(state, points, measured)
             return True
-        elif has_target:
-            follow_plan(state, parameters.dt)
+        elif has_target:  # it answers what was predicted before samples were suspect
+            extrapolate(state.plan, 1, parameters.dt, state.plan)
+            as_sample(state.plan, parameters.dt, state.sample)
             return True
     begin_stop(parameters, state, command)
     return False
@@ -168,13 +164,6 @@ def take_plan(state: InterlockState, points: Floats, measured: Floats) -> None:
 
 
 @compiled
-def follow_plan(state: InterlockState, dt: float) -> None:
-    """Let the controller answer the motion that was predicted before samples were suspect."""
-    extrapolate(state.plan, 1, dt, state.plan)
-    as_sample(state.plan, dt, state.sample)
-
-
-@compiled
 def postcheck(
     p: InterlockParameters, state: InterlockState, step: int, limited: bool, command: Floats
 ) -> None:
@@ -186,7 +175,7 @@ def postcheck(
         change = abs(command[i] - state.drive[i]) if step > 0 else 0.0
         if not np.isfinite(command[i]) or change > p.fastest:
             trip(state, IMPLAUSIBLE_COMMAND, step)
-    if limited and p.has_valve and state.flags[TRIP] == NO_TRIP:
+    if limited and p.tracking.limit < np.inf and state.flags[TRIP] == NO_TRIP:
         if is_exceeded(state.saturated, state.flags[SATURATED], step, p.window):
             trip(state, SATURATION, step)
         state.flags[SATURATED] += 1
@@ -226,18 +215,14 @@ class Interlock:
         Computes the valve drive.
     axes : sequence of str
         Names of the n axes.
-    largest_force : float
-        Magnitude of the reference force beyond which it is implausible, N.
     longest_saturation : float
         Time within one second that the valve drive may be at its limit, s.
     close_time : float
         Time in which it closes the valve, s; infinite: it holds the last command.
     limits : sequence of float
-        Largest displacement, velocity, acceleration and force.
-    has_valve : bool
-        Whether its commands drive the rig.
+        Largest displacement, velocity, acceleration and force, also of the reference force.
     tracking : tuple of TrackingParameters and TrackingState
-        Of the distance to the target, see `tracking_arrays`.
+        Of the distance to the target, see `tracking_arrays`; with a limit if commands drive valves.
     dt : float
         Sampling period, s.
     fastest : float
@@ -255,11 +240,9 @@ class Interlock:
         self,
         controller: ForceControl,
         axes: Sequence[str],
-        largest_force: float,
         longest_saturation: float,
         close_time: float,
         limits: Sequence[float],
-        has_valve: bool,
         tracking: tuple[target_distance.TrackingParameters, target_distance.TrackingState],
         dt: float,
         fastest: float = math.inf,
@@ -272,10 +255,8 @@ class Interlock:
             left = [left_open(taken, closing) for taken in range(1, math.ceil(closing) + 1)] + [0.0]
         self._closing = np.array(left)  # of the last drive, step by step
         self._longest, (saturated, window) = longest_saturation, event_ring(longest_saturation, dt)
-        has_stop, of_rig = hasattr(controller, "stop"), (np.array(limits), has_valve, dt, fastest)
-        self.parameters = InterlockParameters(
-            float(largest_force), window, closing, has_stop, *of_rig, tracking[0]
-        )
+        known = window, closing, hasattr(controller, "stop"), np.array(limits), dt, fastest
+        self.parameters = InterlockParameters(*known, tracking[0])
         points, quantities = controller.shape
         sizes = {"n": n, "points": points, "quantities": quantities}
         self.state = zeros(InterlockState, sizes, saturated=saturated, tracking=tracking[1])
@@ -288,40 +269,17 @@ class Interlock:
 
     @classmethod
     def from_parameters(
-        cls,
-        controller: ForceControl,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
+        cls, section: Section, axes: tuple[str, ...], timebase: Timebase, rig: RigAxes | None = None
     ) -> "Interlock":
-        """Make it from the force controller's section of an experiment, which is for all axes.
-
-        Parameters
-        ----------
-        controller : ForceControl
-            Of the rig's axes.
-        section, axes, timebase
-            Of the experiment.
-        rig : RigAxes, optional
-            With several rigs, the one that it controls; default all axes.
-
-        Raises
-        ------
-        InputError
-            If the assumed actuator or specimen does not fit the axes.
-        """
-        own = rig or RigAxes.whole(axes)
-        names = ("limits.force", "watchdog.saturation_time", "safe.close_time")
-        has_valve = section["actuator.kind"] not in FORCE_DRIVEN
-        tracking = target_distance.tracking_detector(section, axes, own.places, timebase.dt)
-        force, saturation, closing = (section[name] for name in names)
-        if section["actuator.kind"] == POSITION_SERVO:
-            closing = math.inf
+        """Make it, and its controller, from its section of an experiment, see `force_control`."""
+        own, dt = rig or RigAxes.whole(axes), timebase.dt
+        controller = force_control(section, axes, timebase, rig)
+        holds = section["actuator.kind"] == POSITION_SERVO
+        closing = math.inf if holds else section["safe.close_time"]
         limits = [section[f"limits.{name}"] for name in CHANNELS]
-        ends = force, saturation, closing, limits, has_valve
-        fastest = fastest_command(section, timebase.dt)
-        return cls(controller, own.axes, *ends, tracking, timebase.dt, fastest)
+        tracking = target_distance.tracking_detector(section, axes, own.places, dt)
+        ends = section["watchdog.saturation_time"], closing, limits, tracking
+        return cls(controller, own.axes, *ends, dt, fastest_command(section, dt))
 
     @cached_property
     def kind(self) -> Hashable:
@@ -377,8 +335,7 @@ class Interlock:
         command = np.empty(len(self._axes))
         if self._begin(self.parameters, self.state, index, points, measured, command):
             command[:] = self.controller.step(self.state.plan, self.state.sample)
-            limited = self.controller.limited
-            self._end(self.parameters, self.state, index, limited, command)
+            self._end(self.parameters, self.state, index, self.controller.limited, command)
         elif 0 <= self.step_index < index:
             command[:] = self.stop(index)[0]
         return command
@@ -428,7 +385,7 @@ class Interlock:
             jump = f"{(state.odd - state.drive).tolist()} m"
             return f"the command jumps by more than /**: limits.displacement_rate allows: {jump}"
         if code == IMPLAUSIBLE:
-            return implausible_force(state.force, self._axes, self.parameters.largest)
+            return implausible_force(state.force, self._axes, self.parameters.limits[FORCE])
         if code == LIMIT:
             limits, sample = self.parameters.limits, state.measured
             row, column = np.argwhere(np.abs(sample) > limits[:, np.newaxis])[0].tolist()
@@ -489,8 +446,6 @@ def interlock_of(experiment: Experiment) -> Interlock | Interlocks:
         If the force controller of a rig can't be made.
     """
     section, axes, timebase = experiment["force_controller"], experiment.axes, experiment.timebase
-    made = []
-    for rig in experiment.rigs:
-        controller = force_control(section, axes, timebase, rig)
-        made.append((rig, Interlock.from_parameters(controller, section, axes, timebase, rig)))
+    of_test = section, axes, timebase
+    made = [(rig, Interlock.from_parameters(*of_test, rig)) for rig in experiment.rigs]
     return made[0][1] if len(made) == 1 else Interlocks(made)

@@ -59,12 +59,18 @@ class RegisteredControl(RegisteredPart):
 
     def step(self, points: Floats, state: Floats) -> Floats:
         """See `ForceControl.step`."""
-        wanted: Floats = self._own.step(points[0, -1], state)
-        drive = np.clip(wanted, -self._limit, self._limit)
+        drive = np.clip(self._own.step(points[0, -1], state), -self._limit, self._limit)
         self.limited = bool((np.abs(drive) >= self._limit).any())
         if self.limited and hasattr(self._own, "limited"):
             self._own.limited(drive)
         return drive
+
+
+_OURS: dict[str, Callable[..., ForceControl]] = {
+    controllers.TRANSFER_FUNCTION: ForceController.from_parameters,
+    controllers.VELOCITY_FEEDFORWARD: VelocityFeedforward,
+    controllers.POSITION_SERVO_METHOD: PositionServo,
+}
 
 
 def force_control(
@@ -93,12 +99,8 @@ def force_control(
     if name in controllers.FOLLOW_TARGETS and name != fitting:
         kind = f"an actuator of kind {section['actuator.kind']}; make that {fitting}"
         raise InputError(f"force_controller: method {name} does not drive {kind}")
-    if name == controllers.TRANSFER_FUNCTION:
-        return ForceController.from_parameters(section, axes, timebase, own)
-    if name == controllers.VELOCITY_FEEDFORWARD:
-        return VelocityFeedforward(section, axes, timebase, own)
-    if name == controllers.POSITION_SERVO_METHOD:
-        return PositionServo(section, axes, timebase, own)
+    if name in _OURS:
+        return _OURS[name](section, axes, timebase, own)
     inputs = ControlInputs(len(own.axes), timebase.dt, command_limit(section))
     known, where = controllers.REGISTERED_CONTROLLERS, "force_controller: method"
     make = partial(known.make, name, section["settings"], where, inputs)

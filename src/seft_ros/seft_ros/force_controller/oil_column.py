@@ -34,8 +34,7 @@ from seft_plant_sim.judge.valve_model import ValveModel
 from seft_plant_sim.lti import first_order_hold, split_dead_time
 
 CROSSOVER = math.pi / 4
-"""Of the loop, times the delay of the valve that it may have: half the value at which a loop of a
-delay alone, without a model of it, would oscillate."""
+"""Of the loop, times the delay that its valve may have: half of where a mere delay oscillates."""
 UNKNOWN_PHASE = math.pi / 18
 """Of the loop at its crossover, at most, by a valve whose delay is as wrong as it may be: ten
 degrees. Of a fast valve, what is not known is most of the delay."""
@@ -44,12 +43,10 @@ STIFF = 10.0
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
 
 STOOD = 3.0
-"""Square of the delay's error that the damping of ringing must stand, over its variance: that of
-the largest one of an even distribution."""
+"""Square of the delay's error that is stood, over its variance: an even distribution's largest."""
 
 ELASTIC = 0.5
-"""Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
-elastic and one that yields."""
+"""Part of the specimen's stiffness that is counted on: halfway between elastic and yielding."""
 
 _NONE = (
     "force_controller: no regulator brings this specimen back to its plan; check /**: actuator.* "
@@ -65,8 +62,7 @@ def crossover(valves: Sequence[ValveModel]) -> Floats:
 
 def fastest_feedback(delay: Floats) -> Floats:
     """Crossover frequency that delays of loops allow, s and rad/s, shape (n,)."""
-    fastest = UNKNOWN_PHASE / UNCERTAIN_DELAY
-    return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), fastest)
+    return np.minimum(CROSSOVER / (delay + UNCERTAIN_DELAY), UNKNOWN_PHASE / UNCERTAIN_DELAY)
 
 
 def regulator(
@@ -111,7 +107,7 @@ def regulator(
     mass, certain = _modes(mass, stiffness + np.diag(oil[:, 0]), valves, dt)
     free, push = _sampled(valves, oil, mass, stiffness, dt)
     w = crossover(valves)
-    least = np.linalg.inv(_flow_at(w, oil, mass, stiffness))
+    least = np.linalg.inv((np.eye(n) + (stiffness + mass * w**2) / oil[:, :1]) * w)  # of g
     by_x, by_c = np.split(np.linalg.solve(mass, np.hstack([-stiffness, np.diag(oil[:, 0])])), 2, 1)
     rough = np.zeros((n, len(free)))  # the acceleration as a displacement
     rough[:, :n], rough[:, 2 * n : 3 * n] = certain @ by_x, certain @ by_c
@@ -149,11 +145,6 @@ def cost_to_go(a: Floats, b: Floats, q: Floats, r: Floats) -> Floats:
 
 def _symmetric(matrix: Floats) -> Floats:
     return 0.5 * (matrix + matrix.T)
-
-
-def _flow_at(w: Floats, oil: Floats, mass: Floats, stiffness: Floats) -> Floats:
-    """Flow per displacement at a frequency of each axis, g of Eq. (6), shape (n, n), 1/s."""
-    return (np.eye(len(w)) + (stiffness + mass * w**2) / oil[:, :1]) * w
 
 
 def _modes(

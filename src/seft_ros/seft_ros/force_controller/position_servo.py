@@ -17,14 +17,14 @@ a command, whatever its poles and zeros are; it knows where past commands have b
 """
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
-from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_msgs_py.config.parameter_table import Section
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first
 from seft_plant_sim.judge import valve_following
-from seft_plant_sim.judge.known_rig import command_limit, known_responses, read_specimen
+from seft_plant_sim.judge.known_rig import command_limit, known_responses
 from seft_plant_sim.judge.servo_model import ServoModel, servo_models
 from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
@@ -33,7 +33,7 @@ from seft_ros.force_controller import force_control
 from seft_ros.force_controller.force_control import DELAY_ERROR, GAIN_ERROR, TargetFollower
 from seft_ros.force_controller.force_controller_parameters import POSITION_SERVO_METHOD
 from seft_ros.force_controller.oil_column import cost_to_go, fastest_feedback
-from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest
 from seft_ros.reference_force.observers import sensor_noise
 
 SERVO_ERRORS = 3
@@ -235,8 +235,7 @@ def servo_stop(
 
 
 LEAST_GAIN = 0.2
-"""Displacement per command down to which the response is inverted, over that at rest: more would
-take commands of five times the motion."""
+"""Displacement per command over that at rest, down to which it is inverted: by five times it."""
 NEGLIGIBLE = 0.05
 """Part of the weights of the coming motion that may be left to a linear continuation of it."""
 
@@ -244,37 +243,18 @@ NEGLIGIBLE = 0.05
 class PositionServo(TargetFollower):
     """Force controller of n axes that commands displacement servos for the future motion.
 
-    Its errors are those of the gain (relative), the delay (s), and the displacement (m).
-
-    Parameters
-    ----------
-    section : dict
-        Of the force controller, for all axes.
-    axes : tuple of str
-        Names of all axes.
-    timebase : Timebase
-        Sampling clock.
-    rig : RigAxes, optional
-        With several rigs, the one that it controls; default all axes.
-
-    Raises
-    ------
-    InputError
-        If the response is not known, or the horizon is too short for it.
+    Its errors are those of the gain (relative), the delay (s), and the displacement (m). The
+    response of the servos must be known.
     """
 
     method = POSITION_SERVO_METHOD
     names = "gain_error", "delay_error", "displacement_error"
     uncertain = valve_following.UNCERTAIN_GAIN, valve_following.UNCERTAIN_DELAY, 0.0
+    functions = servo_step, servo_stop
 
-    def __init__(
-        self,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
-    ) -> None:
-        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+    def _known(
+        self, section: Section, axes: tuple[str, ...], own: list[int], dt: float
+    ) -> tuple[ServoParameters, ServoState, int, int]:
         lag, responses = common_lag(section), known_responses(section, axes, own)
         models = servo_models(responses, dt)
         servos = [InvertedServo(*each, dt) for each in zip(models, responses, strict=True)]
@@ -298,10 +278,7 @@ class PositionServo(TargetFollower):
         )
         states = parameters.feedback.shape[1]
         sizes = {"n": n, "states": states, "memory": math.floor(late.max()) + 4, "taps": taps}
-        state = zeros(ServoState, sizes)
-        functions = servo_step, servo_stop
-        path = stop_path(*read_specimen(section, axes, own), horizon, dt)
-        super().__init__(parameters, state, functions, path, horizon, needed)
+        return parameters, zeros(ServoState, sizes), horizon, needed
 
 
 class InvertedServo:

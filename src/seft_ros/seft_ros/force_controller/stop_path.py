@@ -14,8 +14,6 @@ from seft_msgs_py.arrays import Floats
 from seft_plant_sim.compiled import compiled
 from seft_plant_sim.simulated.rig_step import left_open
 
-from seft_ros.force_controller.force_control import planned_acceleration
-
 SLOWED, LONGEST_UNLOADING = 0.1, 0.5
 """Longest time in which a target slows down, s: ten periods of an oil column of 100 Hz; and in
 which the specimen is unloaded. Slower modes are held."""
@@ -65,6 +63,14 @@ def stop_path(mass: Floats, stiffness: Floats, horizon: int, dt: float) -> StopP
     begin = slowing // 8  # a rig that misses a few commands goes on as if it had not
     steps = max(slowing, begin + math.ceil(times.max(initial=0.0) / dt - 1e-9))
     return StopPath(mass, modes, np.linalg.inv(modes), squares, begin, steps, slowing, dt)
+
+
+@compiled
+def planned_acceleration(points: Floats, i: int, dt: float) -> float:
+    """Acceleration of axis i at the first point: of the parabola, or line, of its velocities."""
+    now, after = points[0, 1, i], points[min(1, len(points) - 1), 1, i]
+    then = points[2, 1, i] if len(points) > 2 else 2.0 * after - now
+    return (2.0 * after - 1.5 * now - 0.5 * then) / dt
 
 
 @compiled

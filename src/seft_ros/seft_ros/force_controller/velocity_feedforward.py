@@ -15,11 +15,11 @@ Eq. (5). Gain and delay of the valve, and the stiffness of its oil, are followed
 Eq. (4), see `valve_following`.
 """
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
-from seft_msgs_py.wire.topics import RigAxes, Timebase
+from seft_msgs_py.config.parameter_table import Section
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first, smooth_sign
 from seft_plant_sim.judge import valve_following
 from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
@@ -30,7 +30,7 @@ from seft_ros.force_controller import force_control
 from seft_ros.force_controller.force_control import DELAY_ERROR, GAIN_ERROR, TargetFollower
 from seft_ros.force_controller.force_controller_parameters import VELOCITY_FEEDFORWARD
 from seft_ros.force_controller.oil_column import regulator
-from seft_ros.force_controller.stop_path import StopPath, path_to_rest, stop_path
+from seft_ros.force_controller.stop_path import StopPath, path_to_rest, planned_acceleration
 from seft_ros.reference_force.observers import observe, observer_gains, sensor_noise
 
 
@@ -181,7 +181,7 @@ def _flow_by(
     known, feedback, planned = state.flows.shape[1], p.feedback[i], p.planned[i, k]
     flow = feedback[0, k] * (points[0, 0, k] - state.measured[0, k])
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
-    wanted = force_control.planned_acceleration(points, k, p.dt)
+    wanted = planned_acceleration(points, k, p.dt)
     flow += feedback[2, k] * (wanted - state.measured[2, k])
     flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
     flow += dot(state.coming.shape[1], planned[known:], state.coming[k])
@@ -247,37 +247,18 @@ displacement that is a fifth noisier, but smoother, makes a sixth less of the fo
 class VelocityFeedforward(TargetFollower):
     """Force controller of n axes that opens the valves for the future motion.
 
-    Its errors are those of the flow gain (relative), the delay (s), and the oil (relative).
-
-    Parameters
-    ----------
-    section : dict
-        Of the force controller, for all axes.
-    axes : tuple of str
-        Names of all axes.
-    timebase : Timebase
-        Sampling clock.
-    rig : RigAxes, optional
-        With several rigs, the one that it controls; default all axes.
-
-    Raises
-    ------
-    InputError
-        If the actuators are not known, or the horizon is too short for the valves.
+    Its errors are those of the flow gain (relative), the delay (s), and the oil (relative). The
+    actuators must be known.
     """
 
     method = VELOCITY_FEEDFORWARD
     names = "flow_gain_error", "delay_error", "oil_compliance_error"
     uncertain = valve_following.UNCERTAIN_VALVE
+    functions = feedforward_step, feedforward_stop
 
-    def __init__(
-        self,
-        section: dict[str, Any],
-        axes: tuple[str, ...],
-        timebase: Timebase,
-        rig: RigAxes | None = None,
-    ) -> None:
-        own, dt = list((rig or RigAxes.whole(axes)).places), timebase.dt
+    def _known(
+        self, section: Section, axes: tuple[str, ...], own: list[int], dt: float
+    ) -> tuple[FeedforwardParameters, FeedforwardState, int, int]:
         known = known_actuators(section, axes, own)
         actuator = np.transpose([known[name] for name in ASSUMED_ACTUATOR])
         noise = sensor_noise(section, axes)[:, own]
@@ -286,8 +267,8 @@ class VelocityFeedforward(TargetFollower):
         horizon = force_control.horizon_of(section, dt, needed + 1, "valves")
         memory, past = valves[0].memory, max(valve.past() for valve in valves)
         inverse = np.array([valve.inverse(needed, past) for valve in valves])
-        mass, stiffness = read_specimen(section, axes, own)
-        feedback, sent = regulator(valves, actuator[:, 1:3], mass, stiffness, memory, dt)
+        specimen = read_specimen(section, axes, own)
+        feedback, sent = regulator(valves, actuator[:, 1:3], *specimen, memory, dt)
         # of planned flows: the inverse, and the feedback of the commands that it makes of them
         planned = np.zeros((n, n, memory + past + needed))
         for i, k in np.ndindex(n, n):
@@ -312,6 +293,4 @@ class VelocityFeedforward(TargetFollower):
         )
         sizes = {"n": n, "memory": memory, "known": known_flows}
         state = zeros(FeedforwardState, sizes | {"taps": needed, "needed": needed + 1})
-        functions = feedforward_step, feedforward_stop
-        path = stop_path(mass, stiffness, horizon, dt)
-        super().__init__(parameters, state, functions, path, horizon, needed + 1)
+        return parameters, state, horizon, needed + 1

@@ -257,8 +257,7 @@ def _parabola(a: Floats, dt: float) -> Floats:
     # least squares of v - by_v c, with ends c = (v, d) at the end
     system = np.block([[by_v.T @ by_v, ends.T], [ends, np.zeros((2, 2))]])
     wanted = np.vstack([by_v.T @ v, v[-1], d[-1]])
-    found: Floats = powers @ np.linalg.solve(system, wanted)[:3]
-    return found
+    return powers @ np.linalg.solve(system, wanted)[:3]
 
 
 def moved_ahead(

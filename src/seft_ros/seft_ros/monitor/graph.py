@@ -74,8 +74,7 @@ class Graph:
 
     def _subscribe(self, topic: topics.Topic) -> None:
         resent = topic.latched or not isinstance(topic, topics.LoopTopic)
-        made = raw_subscription(self._node, topic, _READ_DEPTH, resent)
-        self._subscriptions[topic.name] = made
+        self._subscriptions[topic.name] = raw_subscription(self._node, topic, _READ_DEPTH, resent)
 
     async def call(self, service: str) -> tuple[bool, str]:
         """Call a service of the supervisor; return whether it was done, and its answer."""

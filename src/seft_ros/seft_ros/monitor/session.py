@@ -62,8 +62,7 @@ class Session:
     def poll(self) -> None:
         """Read the clock; a supervisor that has become silent is an event."""
         self._now = self._awake.time()
-        heard = self._experiment is not None
-        silent = heard and self._now - self._heard_at > SILENCE_PERIOD
+        silent = self._experiment is not None and self._now - self._heard_at > SILENCE_PERIOD
         if silent and not self._silent and self._state in ENDED:
             self._note("left", "the nodes of the test have shut down", 4)
         elif silent and not self._silent:

@@ -1,7 +1,6 @@
 """Node ``force_controller``: answers each state and its reference force with the valve command."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from seft_plant_sim.judge.detector_list import TRACKING, WARNING
 
 from seft_ros.force_controller import force_controller_parameters as parameters
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.methods import force_control
 from seft_ros.force_controller.received_forces import PENDING, MatchedForces, NewestPreview
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
@@ -88,8 +86,8 @@ class ForceControllerNode(NodeBody):
 
     def _interlock(self) -> Interlock:
         experiment, rig = self._shell.experiment, self._shell.rig
-        configured = experiment["force_controller"], experiment.axes, experiment.timebase, rig
-        return Interlock.from_parameters(force_control(*configured), *configured)
+        section, timebase = experiment["force_controller"], experiment.timebase
+        return Interlock.from_parameters(section, experiment.axes, timebase, rig)
 
     def _warm_up(self) -> None:
         axes = len(self._shell.rig.axes)
@@ -276,4 +274,4 @@ main = FORCE_CONTROLLER_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -1,7 +1,5 @@
 """Node ``ground_motion``: publishes the ground motion ahead of the rig's time, by a timer."""
 
-import sys
-
 from seft_msgs_py.node.node_shell import NodeBody, NodeKind, NodeShell
 from seft_msgs_py.wire.experiment_state import decode_state
 from seft_msgs_py.wire.messages import decode_clock
@@ -75,4 +73,4 @@ main = GROUND_MOTION_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -7,7 +7,6 @@ whether a test continues if its bag is lost; it is recorded in any case.
 """
 
 import json
-import sys
 from collections import Counter, deque
 
 from seft_msgs_py.errors import ExperimentError
@@ -257,4 +256,4 @@ main = RECORDER_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -4,7 +4,6 @@ It ramps the force down on request of the supervisor, or after a fault of the fo
 ramping_down, at_rest, ended.
 """
 
-import sys
 from functools import partial
 
 import numpy as np
@@ -20,12 +19,8 @@ from seft_msgs_py.wire.topics import rehearsed
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
 from seft_ros.protection.protected_force import ProtectedForce
+from seft_ros.reference_force import reference_force_block as block
 from seft_ros.reference_force import reference_force_parameters as parameters
-from seft_ros.reference_force.reference_force_block import (
-    EstimateSampler,
-    MotionBuffer,
-    StateGathering,
-)
 from seft_ros.test_run.parameter_tables import TABLES
 from seft_ros.test_run.peers import ALL_ANSWERED, AT_REST_KEY, RAMPING_DOWN
 from seft_ros.test_run.state_machine import SampleOrder, check_magnitude
@@ -50,14 +45,14 @@ class ReferenceForceNode(NodeBody):
         self._state_codecs = [
             TrajectoryCodec(topics.RIG_STATE.of(rig), rig.axes, timebase) for rig in experiment.rigs
         ]
-        self._gathering: StateGathering | None = None
+        self._gathering: block.StateGathering | None = None
         if len(experiment.rigs) > 1:
-            self._gathering = StateGathering(experiment.rigs, section["watchdog.rig_timeout"])
-        self._sampler = EstimateSampler(self._block.reference_force, timebase)
+            self._gathering = block.StateGathering(experiment.rigs, section["watchdog.rig_timeout"])
+        self._sampler = block.EstimateSampler(self._block.reference_force, timebase)
         self._estimates_codec = EstimatesCodec(axes, timebase)
         self._publish = shell.publisher(topic)
         self._publish_estimates = shell.publisher(topics.ESTIMATES)
-        self._motion = MotionBuffer(len(axes))
+        self._motion = block.MotionBuffer(len(axes))
         self._waiting: dict[int, Floats] = {}
         self._order = SampleOrder(timebase, self._delay)
         self._conflict = ""  # why this test is not answered
@@ -275,4 +270,4 @@ main = REFERENCE_FORCE_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -4,7 +4,6 @@ It has the state machine, publishes the state latched on experiment/state, and s
 estop and reset.
 """
 
-import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -199,4 +198,4 @@ main = SUPERVISOR_NODE.main
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

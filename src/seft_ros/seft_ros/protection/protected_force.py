@@ -134,8 +134,7 @@ class RampDown:
 
     def next(self) -> float:
         """Take the factor of the next step, see `next_factor`."""
-        factor: float = self._next(self.steps, self.state)
-        return factor
+        return self._next(self.steps, self.state)
 
 
 @compiled
@@ -221,8 +220,7 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
 
 
 HOLDING, CAUSE, AGE = range(3)
-"""Places of the flags: whether the last plausible point is used, the cause of the ramp, and the age
-of that point in steps."""
+"""Flags: whether the last plausible point is used, the ramp's cause, that point's age in steps."""
 NOTHING, IMPLAUSIBLE_FORCE, IMPLAUSIBLE_STATE, INSTABILITY = range(4)
 """Causes."""
 

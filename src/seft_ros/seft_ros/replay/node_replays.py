@@ -30,7 +30,6 @@ from seft_ros.bags.recording_bag import read_bag, read_messages
 from seft_ros.drawing.style import Texts
 from seft_ros.force_controller.force_controller_parameters import FOLLOW_TARGETS
 from seft_ros.force_controller.interlock import Interlock
-from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.protected_force import ProtectedForce
 from seft_ros.reference_force.reference_force_block import EstimateSampler, MotionBuffer
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
@@ -161,8 +160,7 @@ class Replay(ABC):
         if len(lost := np.setdiff1d(answered, states)):
             why = f"which {self.node} has answered: what it remembers of it can't be replayed"
             raise InputError(f"the bag lacks rig/state of step {lost[0]}, {why}")
-        unanswered = np.setdiff1d(states, answered)
-        self.note_steps("not answered when recorded, and left out", unanswered)
+        self.note_steps("not answered when recorded, and left out", np.setdiff1d(states, answered))
         unknown = np.setdiff1d(np.arange(answered[-1] if len(answered) else 0), states)
         what = "neither rig/state nor its answer is in the bag, and whether the node had them"
         self.note_steps(f"{what} is not known", unknown)
@@ -333,8 +331,7 @@ class ForceControllerReplay(Replay):
     def computed(self, section: dict[str, Any]) -> tuple[Series, Estimates | None]:
         """Compute the commands."""
         axes, timebase = self.experiment.axes, self.experiment.timebase
-        block = force_control(dict(section), axes, timebase)
-        interlock = Interlock.from_parameters(block, dict(section), axes, timebase)
+        interlock = Interlock.from_parameters(dict(section), axes, timebase)
         commands, none = dict[int, Floats](), np.zeros((1, 1, len(axes)))
         for step in self.expected.steps.tolist():
             if step not in self._points and not interlock.reason:

@@ -231,8 +231,7 @@ def _of_node(node: str) -> dict[str, float]:
 
 def _draw_factors(random: np.random.Generator, uncertainty: float, spread: float, n: int) -> Floats:
     """Draw n factors between 1 / most and most = 1 + uncertainty * spread, as likely up as down."""
-    factors: Floats = (1.0 + uncertainty * spread) ** random.uniform(-1.0, 1.0, n)
-    return factors
+    return (1.0 + uncertainty * spread) ** random.uniform(-1.0, 1.0, n)
 
 
 def _neighbours(axes: Sequence[str]) -> npt.NDArray[np.bool_]:

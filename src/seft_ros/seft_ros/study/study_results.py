@@ -70,8 +70,7 @@ def summarise_study(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
     found: dict[str, Any] = {"tests": len(tests), "seed": drawn.seed, "spread": drawn.spread}
     found |= {"results": results, "not_possible": not_possible}
     found |= {"chance": _Z95 / math.sqrt(len(tests) - 1), "drawn": tests}
-    safe: dict[str, Any] = json_safe(found)
-    return safe
+    return json_safe(found)
 
 
 def result_of(design: StudyDesign, runs: Sequence[Run]) -> dict[str, Any]:
@@ -215,6 +214,5 @@ def write_worst_tests(design: StudyDesign, summary: dict[str, Any], folder: Path
                 if (files := files_of(motion[name], design.experiment.axes))
             }
             drawn = f"seed {design.drawn.seed}, spread {design.drawn.spread:g}"
-            about = f"{test} of seft study, {drawn}"
-            write_parameter_file(path, sections, [about], replace=True)
+            write_parameter_file(path, sections, [f"{test} of seft study, {drawn}"], replace=True)
             worst["file"] = str(path)

@@ -4,12 +4,11 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
-from typing import Any
+from typing import Any, NamedTuple
 
 from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import ExperimentError, InputError, SeftError
@@ -22,8 +21,23 @@ from seft_ros.study.workers import parallel_map, software
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import BlockCache, simulate_test
 
-TestOutcome = tuple[dict[str, Any], str]
-"""Summary, and why it was not compiled, of a `seft_ros.study.study_runs.Run`."""
+
+class Run(NamedTuple):
+    """One test and its outcome.
+
+    Attributes
+    ----------
+    test : StudyTest
+        Which.
+    summary : dict
+        As `seft_ros.analysis.summary.summarise_briefly` gives it.
+    why_not_compiled : str
+        Why it ran on the uncompiled blocks of `seft simulate`; empty: on the compiled loop.
+    """
+
+    test: StudyTest
+    summary: dict[str, Any]
+    why_not_compiled: str = ""
 
 
 class FinishedTests:
@@ -35,7 +49,7 @@ class FinishedTests:
     def __init__(self, design: StudyDesign, folder: Path) -> None:
         self._file = folder / f"study-{_digest(design)}.jsonl"
 
-    def read(self) -> dict[StudyTest, TestOutcome]:
+    def read(self) -> dict[StudyTest, Run]:
         """Read the tests, and cut off a line that was not written to its end."""
         if not self._file.exists():
             return {}
@@ -43,15 +57,16 @@ class FinishedTests:
             whole, end, _ = self._file.read_bytes().rpartition(b"\n")
             self._file.write_bytes(whole + end)
         try:
-            lines = [json.loads(line) for line in whole.splitlines()]
-            return {StudyTest(*test): (dict(summary), str(why)) for test, summary, why in lines}
+            lines = map(json.loads, whole.splitlines())
+            runs = [Run(StudyTest(*test), dict(summary), str(why)) for test, summary, why in lines]
+            return {run.test: run for run in runs}
         except (ValueError, TypeError):
             raise InputError(f"{self._file}: holds no finished tests; remove it") from None
 
-    def add(self, test: StudyTest, outcome: TestOutcome) -> None:
+    def add(self, run: Run) -> None:
         """Add a test."""
         with self._reported(), self._file.open("a") as lines:
-            lines.write(json.dumps([test, *outcome]) + "\n")
+            lines.write(json.dumps(run) + "\n")
 
     def remove(self) -> None:
         """Remove the file."""
@@ -79,25 +94,6 @@ def _digest(design: StudyDesign) -> str:
 
 
 _CACHE = BlockCache()
-
-
-@dataclass(frozen=True)
-class Run:
-    """One test and its outcome.
-
-    Attributes
-    ----------
-    test : StudyTest
-        Which.
-    summary : dict
-        As `seft_ros.analysis.summary.summarise_briefly` gives it.
-    why_not_compiled : str
-        Why it ran on the uncompiled blocks of `seft simulate`; empty: on the compiled loop.
-    """
-
-    test: StudyTest
-    summary: dict[str, Any]
-    why_not_compiled: str = ""
 
 
 def run_study(
@@ -138,16 +134,16 @@ def run_study(
     experiments = map(design.experiment_of, left)
     carried = design.records() if scheduler else {}
     with parallel_map(max(1, min(workers, len(left))), scheduler) as map_:
-        for position, outcome in map_(_run, left, experiments, repeat(carried, len(left))):
+        for _, run in map_(_run, left, experiments, repeat(carried, len(left))):
             if finished:
-                finished.add(left[position], outcome)
-            found[left[position]] = outcome
-            how = " (uncompiled)" if outcome[1] else ""
-            progress(f"{left[position]}{how}", len(found))
-    return [Run(test, *found[test]) for test in tests]
+                finished.add(run)
+            found[run.test] = run
+            how = " (uncompiled)" if run.why_not_compiled else ""
+            progress(f"{run.test}{how}", len(found))
+    return [found[test] for test in tests]
 
 
-def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) -> TestOutcome:
+def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) -> Run:
     """Run a test; an error says in one line which it is of."""
     try:
         if carried:
@@ -162,8 +158,8 @@ def _run(test: StudyTest, experiment: Experiment, carried: Mapping[str, bytes]) 
             recording = simulate_test(experiment, build_blocks(experiment))
         else:
             recording = _CACHE.run(experiment)
-        steps = len(recording.states.steps)
-        return summarise_briefly(recording, reference.first(steps)), why
+        summary = summarise_briefly(recording, reference.first(len(recording.states.steps)))
+        return Run(test, summary, why)
     except SeftError as error:
         raise type(error)(f"{test}: {error}") from None
     except Exception as error:

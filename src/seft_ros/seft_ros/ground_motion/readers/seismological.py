@@ -139,8 +139,7 @@ def _sensitivity(path: Path, trace: Any, response: str) -> float:
     f = np.geomspace(_LOWEST, max(_HIGHEST / trace.stats.delta, _LOWEST), 50)
     obspy, share = _obspy(path, "seismological"), np.ones_like(f)
     try:
-        inventory = obspy.read_inventory(response)
-        stated = inventory.get_response(trace.id, trace.stats.starttime)
+        stated = obspy.read_inventory(response).get_response(trace.id, trace.stats.starttime)
         found = stated.instrument_sensitivity
         unit, size = read_unit(found.input_units or ""), float(found.value)
         if stated.response_stages and unit == "m/s2":
