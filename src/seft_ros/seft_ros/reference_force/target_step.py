@@ -28,7 +28,6 @@ from seft_ros.reference_force.restoring_model import (
     slide_on,
     slider_forces,
 )
-from seft_ros.reference_force.yield_corner import SHIFT
 
 ESTIMATE_NAMES = ("stiffness", "damping", "friction")
 """Rows of `target_estimates`."""
@@ -235,7 +234,7 @@ def update_target(
     move_stops(p.model, state.model.thresholds, moved, state.model.stops)
     follow_specimen(p.model, state.model, e, rate, force)
     for j in range(n):
-        state.stops[j, CORNER] += state.model.corner.slider[j, SHIFT]
+        state.stops[j, CORNER] += state.model.corner.slider[j].shift
     take_model(p, state, progress)
     if not first:
         advance(p, state, state.ground, ground[0], progress)
@@ -389,7 +388,7 @@ def advance(
             for i in range(half):
                 new[i] = old[i] + part * (new[i] - old[i])
                 for j in range(n):  # the correction of the restoring force's past impulse
-                    new[i] -= p.by_spring[i, j] * model.sums[j, 3]
+                    new[i] -= p.by_spring[i, j] * model.sums[j].correction
             for i in range(len(state.line)):
                 new[i] += part * p.dt * state.line[i, 2 * half + 1]
             if side:  # correct the state by the change of the push
