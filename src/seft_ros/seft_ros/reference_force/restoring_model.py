@@ -497,7 +497,7 @@ def find_regressors(
 
     The error b fades meanwhile.
     """
-    n, phi = len(e), state.regressors[j]
+    n, phi = len(parameters.springs), state.regressors[j]
     error = 1 + 2 * n + THRESHOLDS
     phi[0] = 1.0
     copy(n, e, phi[1:])
@@ -548,11 +548,11 @@ def learn(
 
     Also its covariance c with the past impulse, where ``of_past`` is c . phi over the variance.
     """
-    n, p, past, found = len(state.found), state.covariance[j], state.past[j], state.found[j]
-    phi, gain, taken, left = state.regressors[j], state.work[0], state.work[1], state.work[2]
+    n, p, found = len(parameters.springs), state.covariance[j], state.found[j]
+    phi, past, gain = state.regressors[j], state.past[j], state.work[0]
     damper, error, per_variance = 1 + n + j, 1 + 2 * n + THRESHOLDS, 1.0 / variance
     q = (error + 4) // 4 * 4
-    slope, offset = phi[error], gain[0]
+    taken, left, slope, offset = state.work[1], state.work[2], phi[error], gain[0]
     if not moves:  # the sum may be far more certain than its offset: that gains no more
         most = max(dot(q, phi, gain) - slope * gain[error], 0.0)
         offset = min(max(offset, -most), most)
