@@ -178,6 +178,18 @@ SUMS = np.dtype(
 """What the samples of a spring add up to."""
 
 
+LINE = np.dtype(
+    [
+        ("force", "f8"),  # so far, N
+        ("slope", "f8"),  # N/m
+        ("moved", "f8"),  # so far, m
+        ("room", "f8"),  # motion to its end, m
+        ("sense", "f8"),  # of the motion
+    ]
+)
+"""Force of a spring's sliders in a motion ahead."""
+
+
 class RestoringState(NamedTuple):
     """State of the models: arrays of zeros before `begin_model`."""
 
@@ -336,33 +348,32 @@ def slide_on(
     values: Floats,
     change: Floats,
     stops: Floats,
-    ahead: Floats,
+    ahead: Record,
     forces: Floats,
 ) -> None:
     """Give the force of the sliders of each spring, (n,), N, after a change of its deformation, m.
 
-    It is a line as long as the motion goes on and no more sliders slide. ``ahead``, (n, 5), has its
-    force and slope, the motion so far and to the end of it, and the sense; the stop operators are
-    those of its beginning.
+    It is a line, ``ahead``, as long as the motion goes on and no more sliders slide; the stop
+    operators are those of its beginning.
     """
     first = 1 + 2 * len(parameters.springs)
     for j in range(len(parameters.springs)):
         line, further = ahead[j], change[j]
-        forces[j] = line[0] + line[1] * further
-        moved = line[2] + further
-        if line[4] * further < 0.0 or abs(moved) > line[3]:
+        forces[j] = line.force + line.slope * further
+        moved = line.moved + further
+        if line.sense * further < 0.0 or abs(moved) > line.room:
             force, slope, room = 0.0, 0.0, math.inf
             sense = 1.0 if further >= 0.0 else -1.0
             for i in range(THRESHOLDS):
                 w, y = values[j, first + i], thresholds[j, i]
-                z = bounded(bounded(stops[j, i] + line[2], y) + further, y)
+                z = bounded(bounded(stops[j, i] + line.moved, y) + further, y)
                 stops[j, i], left = z, y - sense * z
                 force += w * z
                 slope += w if left > 0.0 else 0.0
                 room = min(room, left if left > 0.0 else math.inf)
-            line[1], line[3], line[4] = slope, room, sense
+            line.slope, line.room, line.sense = slope, room, sense
             forces[j], moved = force, 0.0
-        line[0], line[2] = forces[j], moved
+        line.force, line.moved = forces[j], moved
 
 
 @compiled

@@ -13,12 +13,13 @@ between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, Record
 from seft_plant_sim.compiled import compiled, copy, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
     CORNER,
+    LINE,
     THRESHOLDS,
     ModelParameters,
     RestoringState,
@@ -112,7 +113,7 @@ class TargetState(NamedTuple):
     target: Annotated[Floats, "3N"]  # displacements and velocities of the target, and the push
     stops: Annotated[Floats, "n", THRESHOLDS]  # its stop operators
     future_stops: Annotated[Floats, "n", THRESHOLDS]  # those of its prediction
-    sliding: Annotated[Floats, "n", 5]  # see `slide_on`
+    sliding: Annotated[Record, LINE, "n"]
     ground: Annotated[Floats, "n"]  # last ground acceleration
     by_motion: Annotated[Floats, "n", "2n"]  # force of each spring per displacement and velocity
     by_state: Annotated[Floats, 2, "N", "2N"]  # push of the model at the last sample and at this
@@ -466,8 +467,9 @@ def predict(
     for j in range(n):
         ground[j] = progress * known[0, j]
         copy(THRESHOLDS, state.stops[j], stops[j])
-        state.sliding[j] = 0.0
-        state.sliding[j, 3] = -1.0
+        line = state.sliding[j]
+        line.force = line.slope = line.moved = line.sense = 0.0
+        line.room = -1.0
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
     for i in range(len(state.line)):
