@@ -464,7 +464,7 @@ def joins(made: Record, new: int) -> bool:
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
     """Keep of new branches those that agree with the likeliest one on the oldest sample."""
-    best, kept = likeliest(axis.made.weight, count), 1
+    best, kept = likeliest(axis.made["weight"], count), 1
     if count:
         axis.alive[0] = axis.made[best]
     first = axis.alive[0]
