@@ -159,10 +159,9 @@ def drawn(seed):
         words = [word for word in words if word != EFT[0]]
     if not any("flow_gain" in word for word in words):
         words = [word for word in words if "supply" not in word]
-    if "sensors.velocity:=derived" in words:  # there is no such sensor
-        words = [word for word in words if '"velocity' not in word]
-    if "sensors.acceleration:=derived" in words:
-        words = [word for word in words if '"acceleration' not in word]
+    for channel in ("velocity", "acceleration"):
+        if f"sensors.{channel}:=derived" in words:  # there is no such sensor
+            words = [w for w in words if f'"{channel}' not in w and f"{channel}_" not in w]
     return words
 
 

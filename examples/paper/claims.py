@@ -12,7 +12,7 @@ from paper_tests import COMPUTED, TAU, Findings, Outcome, whole_delay
 from scipy.ndimage import median_filter
 from seft_msgs_py.arrays import Complexes, Floats
 from seft_ros.drawing.style import RESPONSES
-from seft_ros.identification.rig_tests import BAND_HZ
+from seft_ros.identification.measured_test import BAND_HZ
 
 SEGMENT = 2.0
 """Of Welch's method, s: 0.5 Hz."""

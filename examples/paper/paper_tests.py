@@ -27,7 +27,7 @@ from seft_ros.bags.recording import Recording
 from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.identification import rig_tests
 from seft_ros.identification.identified import Identified, identify_from_recordings
-from seft_ros.identification.rig_tests import BAND_HZ
+from seft_ros.identification.measured_test import BAND_HZ
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test

@@ -33,7 +33,7 @@ from seft_msgs_py.errors import InputError, SeftError
 from seft_ros.drawing import page, style
 from seft_ros.drawing.page import Grid, PageSection, Plot, Text, line, plot
 from seft_ros.drawing.style import FIRST_COLOUR, OTHERS, REFERENCE, Cell, Mark, TextTable
-from seft_ros.identification.rig_tests import BAND_HZ
+from seft_ros.identification.measured_test import BAND_HZ
 
 PAPER = (
     "N. Nakata and S. Combs, Substructure Effective Force Testing: A Force-Based Real-Time Hybrid "

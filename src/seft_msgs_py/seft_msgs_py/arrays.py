@@ -10,6 +10,8 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Complexes = npt.NDArray[np.complex128]
+Record = Any
+"""A record of named numbers, or an array of them: numpy's types do not tell their fields."""
 
 
 def zeros[T](of: Callable[..., T], sizes: Mapping[str, int], **given: Any) -> T:

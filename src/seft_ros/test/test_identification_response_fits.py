@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from seft_plant_sim.lti import TransferFunction
+from seft_ros.identification.measured_test import frequency_response, motion_spectra
 from seft_ros.identification.response_fits import fit_specimen, fit_tracking
-from seft_ros.identification.rig_tests import frequency_response, motion_spectra
 
 RATE, SEGMENT, COUNT = 500.0, 8.0, 60_000
 MASS = np.array([[52.7, 3.0], [3.0, 40.0]])

@@ -177,7 +177,7 @@ def followed(restoring, x, v, stiffness=K, damping=800.0, noise=4.0, seed=1):
         measured = np.array([r + noise * rng.standard_normal()])
         models.follow_specimen(parameters, state, np.array([one]), np.array([rate]), measured)
         error = r - state.values[0] @ state.regressors[0]
-        left.append((error, error - state.sums[0, 3]))
+        left.append((error, error - state.sums[0].correction))
     return parameters, state, np.transpose(left)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from seft_ros.reference_force import restoring_model as models
 from seft_ros.reference_force.stop_operators import stop_operators
-from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, STAGE, may_begin
+from seft_ros.reference_force.yield_corner import FORETELLS, HOLDS, may_begin
 from test_target_motion import K, followed
 
 YIELDS, HARDENS = 0.003, 0.05
@@ -27,7 +27,7 @@ def sway(amplitude, cycles=4.0):
 def test_the_corner_of_a_specimen_that_yields_is_found_and_used(seed):
     x, v = sway(0.012)
     _, state, left = followed(bilinear(x, v), x, v, seed=seed)
-    assert state.corner.slider[0, STAGE] == FORETELLS
+    assert state.corner.slider[0].stage == FORETELLS
     assert state.thresholds[0, models.CORNER] == pytest.approx(YIELDS, rel=0.02)
     assert state.values[0, 1] == pytest.approx(HARDENS * K, rel=0.1)
     assert state.values[0, 1 + 2 + models.CORNER] == pytest.approx((1.0 - HARDENS) * K, rel=0.02)
@@ -40,7 +40,7 @@ def test_friction_is_found_though_noise_of_the_displacement_makes_25_newtons(see
     stop = stop_operators(x, np.array([sticks]))[:, 0]
     seen = x + 2.6e-6 * np.random.default_rng(seed).standard_normal(len(x))
     _, state, _ = followed(K * x + 190.0 / sticks * stop + 800.0 * v, seen, v, seed=seed)
-    assert state.corner.slider[0, STAGE] == FORETELLS
+    assert state.corner.slider[0].stage == FORETELLS
     assert state.thresholds[0, models.CORNER] == pytest.approx(sticks, rel=0.15)
     friction = state.corner.law[0, 1 + 2 + models.CORNER] * state.thresholds[0, models.CORNER]
     assert friction == pytest.approx(190.0, rel=0.01)
@@ -51,7 +51,7 @@ def test_friction_is_found_though_noise_of_the_displacement_makes_25_newtons(see
 def test_an_elastic_specimen_has_no_corner(stiffness):
     x, v = sway(0.012)
     _, state, _ = followed(stiffness * x + 800.0 * v, x, v)
-    assert state.corner.slider[0, STAGE] != FORETELLS
+    assert state.corner.slider[0].stage != FORETELLS
     assert state.values[0, 1 + 2 + models.CORNER] == 0.0
 
 
@@ -59,7 +59,7 @@ def test_a_gap_that_closes_and_opens_is_not_taken_for_yielding():
     x, v = sway(0.012)
     force = K * x + 2 * K * np.sign(x) * np.maximum(np.abs(x) - YIELDS, 0.0) + 800.0 * v
     _, state, _ = followed(force, x, v)
-    assert state.corner.slider[0, STAGE] != FORETELLS
+    assert state.corner.slider[0].stage != FORETELLS
 
 
 def test_a_specimen_that_no_longer_yields_is_not_said_to():
@@ -69,7 +69,7 @@ def test_a_specimen_that_no_longer_yields_is_not_said_to():
     late = 2000
     stiff[late:] = stiff[late - 1] + K * (x[late:] - x[late - 1])
     _, state, left = followed(stiff, x, v)
-    assert state.sums[0, 4] < 0.0
+    assert state.sums[0].evidence < 0.0
     assert np.abs(left[0, -300:]).max() < 40.0
 
 
@@ -86,5 +86,5 @@ def test_a_test_begins_without_a_law():
     x, v = sway(0.012)
     parameters, state, _ = followed(bilinear(x, v), x, v)
     models.begin_model(parameters, state)
-    assert not state.corner.slider.any()
+    assert not any(state.corner.slider[0])
     assert state.thresholds[0, models.CORNER] == HOLDS

@@ -13,10 +13,10 @@ the chance of this.
 import math
 
 import numpy as np
-from seft_msgs_py.arrays import Floats
+from seft_msgs_py.arrays import Floats, Record
 
 from seft_plant_sim.compiled import compiled
-from seft_plant_sim.judge.judge import OIL_EVENT, Record
+from seft_plant_sim.judge.judge import OIL_EVENT
 
 RARE = math.log(1e-6)
 """Chance that a sample has a wrong channel: of a false alarm."""

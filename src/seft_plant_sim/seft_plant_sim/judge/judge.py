@@ -1,10 +1,10 @@
 """Parameters and state of the judge, whose step is `judge`: records, one of each axis."""
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints, zeros
+from seft_msgs_py.arrays import Floats, Ints, Record, zeros
 
 from seft_plant_sim.channels import Derivation
 
@@ -46,8 +46,6 @@ OIL_EVENT = 0b010000
 ANY_ROW, SEVERAL_ROW = 4, 5
 """Rows of the counts of samples of which any channel was replaced, and several."""
 
-Record = Any
-"""A record of these types, or an array of them: numpy's types do not tell their fields."""
 BRANCH = np.dtype(
     [
         ("weight", "f8"),  # logarithm of its likelihood over that of the first

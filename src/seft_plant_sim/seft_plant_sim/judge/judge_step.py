@@ -24,14 +24,14 @@ most. Before step 0 the rig is at rest.
 import math
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, clear
+from seft_msgs_py.arrays import Floats, Record, clear
 
 from seft_plant_sim.channels import derived
 from seft_plant_sim.compiled import compiled, copy
 from seft_plant_sim.judge import hypotheses
 from seft_plant_sim.judge import judge as records
 from seft_plant_sim.judge.hypotheses import ANY_CHANNEL, EVENT, FORCES, RARE, A, F, V, X, members
-from seft_plant_sim.judge.judge import REVISED, UNKNOWN, JudgeParameters, JudgeState, Record
+from seft_plant_sim.judge.judge import REVISED, UNKNOWN, JudgeParameters, JudgeState
 from seft_plant_sim.judge.relation_following import MOTION_TO_NOISE
 from seft_plant_sim.judge.valve_following import UNCERTAIN_OIL
 
@@ -463,7 +463,7 @@ def joins(made: Record, new: int) -> bool:
 @compiled
 def decide(known: Record, axis: Record, count: int) -> None:
     """Keep of new branches those that agree with the likeliest one on the oldest sample."""
-    best, kept = likeliest(axis.made.weight, count), 1
+    best, kept = likeliest(axis.made["weight"], count), 1
     if count:
         axis.alive[0] = axis.made[best]
     first = axis.alive[0]

@@ -27,7 +27,7 @@ from seft_ros.bags.recording_bag import read_bag
 from seft_ros.cli import shared
 from seft_ros.drawing import style
 from seft_ros.drawing.style import Texts
-from seft_ros.identification import calibrated, identified, rig_tests
+from seft_ros.identification import calibrated, identified, measured_test, rig_tests
 from seft_ros.identification.identified_figure import identified_figure
 from seft_ros.identification.multisine import (
     PILOT_SECONDS,
@@ -297,7 +297,7 @@ class Identification:
     def _force_of_specimen(self) -> float:
         """RMS of the closed loop for the specimen as the open loop shows it, N."""
         opened = self._corrected(self.tests.recordings[OPEN_LOOP])
-        test = rig_tests.MeasuredTest(opened, self.motions.band)
+        test = measured_test.MeasuredTest(opened, self.motions.band)
         if test.incoherent():
             return self.levels.force
         found = fit_specimen([test.motion()])
@@ -320,7 +320,7 @@ class Identification:
         tripped = OPEN_LOOP in tests and OPEN_LOOP not in whole
         for name in (OPEN_LOOP, PILOT) if tripped else ():
             test = tests.get(name)
-            part = test and rig_tests.before_trip(test, band)
+            part = test and measured_test.before_trip(test, band)
             if part is None:
                 continue
             with suppress(ExperimentError):

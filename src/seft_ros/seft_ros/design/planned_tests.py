@@ -152,7 +152,7 @@ def frozen_target(method: TargetMotion, measured: bool) -> LinearFilter:
         state.is_running[0] = 1.0
         if measured:  # the offset follows at once; the assumed stiffness has no weight
             state.model.covariance[:, 0, 0] = CERTAIN
-            state.model.sums[:, 4] = -CERTAIN
+            state.model.sums.evidence = -CERTAIN
 
     step = partial(target_step, parameters, state, ground, y, 1.0, points)
     (c, d, e), (a, b, h) = _system(begin, step, states, [y, ground], points)

@@ -23,6 +23,7 @@ from seft_ros.ground_motion.conditioning import moved_ahead
 from seft_ros.identification import multisine_estimates as estimates
 from seft_ros.identification.channel_filters import HIGHEST, ChannelFilters, channel_filters
 from seft_ros.identification.identified import Identified
+from seft_ros.identification.measured_test import frequency_response, motion_spectra
 from seft_ros.identification.multisine import (
     OF_RATE,
     Multisine,
@@ -30,7 +31,7 @@ from seft_ros.identification.multisine import (
     fault_free_relations,
     no_images,
 )
-from seft_ros.identification.rig_tests import frequency_response, known_mass, motion_spectra
+from seft_ros.identification.rig_tests import known_mass
 
 _FEWEST_PERIODS, _SEGMENT = 3.0, 4.0  # of a spectrum: of the lowest frequency, and s
 MIN_LAG = 2e-5

@@ -18,7 +18,8 @@ from seft_ros.design.plant import Plant, small_signal
 from seft_ros.drawing.style import Number, TextTable, json_safe, look_up, rows_of
 from seft_ros.identification import response_fits
 from seft_ros.identification.actuator_fit import ActuatorFit, OilBalance, fit_actuator
-from seft_ros.identification.rig_tests import MeasuredTest, Measurement, obeys_displacement
+from seft_ros.identification.measured_test import MeasuredTest, Measurement
+from seft_ros.identification.rig_tests import obeys_displacement
 from seft_ros.reference_force.compensator import OF_THE_LOOP
 
 _COHERENT = 0.8  # up to there the closed loop is fitted

@@ -10,8 +10,8 @@ from seft_ros.design.plant import Plant
 from seft_ros.drawing.style import FIRST_COLOUR, MARK, SECOND, TEXT, new_figure, tidy
 from seft_ros.identification.actuator_fit import ActuatorFit
 from seft_ros.identification.identified import ClosedLoop, Identified, ValveResponse
+from seft_ros.identification.measured_test import Measurement
 from seft_ros.identification.response_fits import FLATNESS_DB
-from seft_ros.identification.rig_tests import Measurement
 
 _MAX_AXES = 3
 _SHOWN_TRACKING_DB = (-12.0, 6.0)

@@ -13,7 +13,7 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.simulated.specimen import Specimen
 
 from seft_ros.design.plant import Root, roots_of
-from seft_ros.identification.rig_tests import BAND_HZ, Response
+from seft_ros.identification.measured_test import BAND_HZ, Response
 
 FLATNESS_DB = 1.0
 BANDWIDTH_DB = -3.0

@@ -55,20 +55,19 @@ from statistics import NormalDist
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints, zeros
+from seft_msgs_py.arrays import Floats, Ints, Record, zeros
 from seft_plant_sim.compiled import bounded, compiled, copy, dot, multiply_sized
 
 from seft_ros.reference_force.yield_corner import (
     FORETELLS,
     HOLDS,
-    MENDED,
-    STAGE,
     CornerParameters,
     CornerState,
     begin_corner,
     expect_corner,
     fade,
     follow_corner,
+    forget,
     may_begin,
     sharpen,
 )
@@ -167,6 +166,30 @@ class ModelParameters(NamedTuple):
     corner: CornerParameters
 
 
+SUMS = np.dtype(
+    [
+        ("innovation", "f8"),  # recent innovations, N
+        ("variance", "f8"),  # of these, N^2
+        ("evidence", "f8"),  # logarithm of the likelihoods' ratio, assumed model over identified
+        ("impulse", "f8"),  # unexplained, over a period, N
+        ("correction", "f8"),  # force that corrects impulses, N
+    ]
+)
+"""What the samples of a spring add up to."""
+
+
+LINE = np.dtype(
+    [
+        ("force", "f8"),  # so far, N
+        ("slope", "f8"),  # N/m
+        ("moved", "f8"),  # so far, m
+        ("room", "f8"),  # motion to its end, m
+        ("sense", "f8"),  # of the motion
+    ]
+)
+"""Force of a spring's sliders in a motion ahead."""
+
+
 class RestoringState(NamedTuple):
     """State of the models: arrays of zeros before `begin_model`."""
 
@@ -178,8 +201,7 @@ class RestoringState(NamedTuple):
     regressors: Annotated[Floats, "n", "q"]  # factors of the parameters
     last: Annotated[Floats, "n", "q"]  # those at the last sample
     stops: Annotated[Floats, "n", THRESHOLDS]  # z of the specimen, m
-    sums: Annotated[Floats, "n", 5]  # recent innovations, their variance, the unexplained impulse
-    # over a period, the force that corrects impulses (N), and the evidence for the assumed model
+    sums: Annotated[Record, SUMS, "n"]
     work: Annotated[Floats, 3, "q"]
     thresholds: Annotated[Floats, "n", THRESHOLDS]  # y, m
     corner: CornerState
@@ -274,11 +296,12 @@ def begin_model(parameters: ModelParameters, state: RestoringState) -> None:
     state.covariance[:] = 0.0
     state.past[:] = 0.0
     state.stops[:] = 0.0
-    state.sums[:] = 0.0
     state.last[:] = 0.0
-    state.sums[:, 4] = MAX_EVIDENCE
-    state.corner.slider[:] = 0.0
     for j in range(n):
+        sums = state.sums[j]
+        sums.innovation = sums.variance = sums.impulse = sums.correction = 0.0
+        sums.evidence = MAX_EVIDENCE
+        forget(state.corner.slider[j])
         for i in range(q):
             start = parameters.start[j, i]
             state.values[j, i] = state.before[j, i] = state.found[j, i] = start
@@ -325,33 +348,32 @@ def slide_on(
     values: Floats,
     change: Floats,
     stops: Floats,
-    ahead: Floats,
+    ahead: Record,
     forces: Floats,
 ) -> None:
     """Give the force of the sliders of each spring, (n,), N, after a change of its deformation, m.
 
-    It is a line as long as the motion goes on and no more sliders slide. ``ahead``, (n, 5), has its
-    force and slope, the motion so far and to the end of it, and the sense; the stop operators are
-    those of its beginning.
+    It is a line, ``ahead``, as long as the motion goes on and no more sliders slide; the stop
+    operators are those of its beginning.
     """
     first = 1 + 2 * len(parameters.springs)
     for j in range(len(parameters.springs)):
         line, further = ahead[j], change[j]
-        forces[j] = line[0] + line[1] * further
-        moved = line[2] + further
-        if line[4] * further < 0.0 or abs(moved) > line[3]:
+        forces[j] = line.force + line.slope * further
+        moved = line.moved + further
+        if line.sense * further < 0.0 or abs(moved) > line.room:
             force, slope, room = 0.0, 0.0, math.inf
             sense = 1.0 if further >= 0.0 else -1.0
             for i in range(THRESHOLDS):
                 w, y = values[j, first + i], thresholds[j, i]
-                z = bounded(bounded(stops[j, i] + line[2], y) + further, y)
+                z = bounded(bounded(stops[j, i] + line.moved, y) + further, y)
                 stops[j, i], left = z, y - sense * z
                 force += w * z
                 slope += w if left > 0.0 else 0.0
                 room = min(room, left if left > 0.0 else math.inf)
-            line[1], line[3], line[4] = slope, room, sense
+            line.slope, line.room, line.sense = slope, room, sense
             forces[j], moved = force, 0.0
-        line[0], line[2] = forces[j], moved
+        line.force, line.moved = forces[j], moved
 
 
 @compiled
@@ -385,14 +407,14 @@ def hold_against_law(
 
     It is that of the assumed specimen until the law takes its place.
     """
-    stage, y, phi = state.corner.slider[j, STAGE], state.thresholds[j, CORNER], state.regressors[j]
+    stage, y, phi = state.corner.slider[j].stage, state.thresholds[j, CORNER], state.regressors[j]
     if stage == 0.0:
         return parameters.noise[j, 1]
     variance = expect_corner(parameters.corner, state.corner, j, phi, moved, measured, y)
-    if state.corner.slider[j, STAGE] != FORETELLS:
+    if state.corner.slider[j].stage != FORETELLS:
         return parameters.noise[j, 1]
     if stage != FORETELLS:
-        state.sums[j, 4] = max(state.sums[j, 4], 0.0)
+        state.sums[j].evidence = max(state.sums[j].evidence, 0.0)
     return variance
 
 
@@ -417,10 +439,10 @@ def follow_law(
         y[CORNER] = begin_corner(
             laws, corner, j, phi, moved, lacks, slope, found, measured, y[CORNER]
         )
-    if corner.slider[j, STAGE]:
+    if corner.slider[j].stage:
         y[CORNER] = follow_corner(laws, corner, j, phi, measured, y[CORNER], remembered, moves)
         state.stops[j, CORNER] = phi[laws.place]
-    return corner.slider[j, MENDED] if corner.slider[j, STAGE] == FORETELLS else 0.0
+    return corner.slider[j].mended if corner.slider[j].stage == FORETELLS else 0.0
 
 
 @compiled
@@ -429,89 +451,136 @@ def follow_specimen(
 ) -> None:
     """Update the models with the measured restoring force of each spring, shape (n,), N.
 
-    The stops have moved to the deformations e before. The result ``sums[:, 3]`` is the force that
-    acts on the structure over this step in addition to the model's, to correct the past impulse.
+    The stops have moved to the deformations e before. The result, each spring's ``correction``, is
+    the force that acts on the structure over this step in addition to the model's.
     """
-    # beyond 60 lines: one update, in the order of its equations, which share their arrays
     n = len(parameters.springs)
     q = (2 + 2 * n + THRESHOLDS + 3) // 4 * 4  # the processor has instructions for four at a time
-    error = 1 + 2 * n + THRESHOLDS
     for j in range(n):
-        damper = 1 + n + j
-        phi, last, p = state.regressors[j], state.last[j], state.covariance[j]
-        gain, taken, left = state.work[0], state.work[1], state.work[2]
-        past = state.past[j]
-        found, change, sums = state.found[j], parameters.change[j], state.sums[j]
-        phi[0] = 1.0
-        copy(n, e, phi[1:])
-        copy(n, rate, phi[1 + n :])
-        copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
-        found[error] *= parameters.kept
-        fade(p, error, parameters.kept, parameters.stuck[j])
-        slope = phi[error] = tangent(parameters, state, j)
+        phi, sums, p, gain = state.regressors[j], state.sums[j], state.covariance[j], state.work[0]
+        moved, was_right = e[j] - state.last[j, 1 + j], sums.evidence > 0.0
+        slope = find_regressors(parameters, state, j, e, rate)
         remembered = math.exp(-parameters.forgotten[j] * math.sqrt(max(slope, 0.0)))
         variance = motion_noise(parameters, state, j)
-        innovation = measured[j] - dot(q, found, phi)
-        moved = e[j] - last[1 + j]
+        innovation = measured[j] - dot(q, state.found[j], phi)
         doubt = hold_against_law(parameters, state, j, moved, measured[j])
-        foretells = state.corner.slider[j, STAGE] == FORETELLS
+        foretells = state.corner.slider[j].stage == FORETELLS
         assumed = state.corner.law[j] if foretells else parameters.start[j]
         surplus = measured[j] - dot(q, assumed, phi)
         for i in range(q):
             p[i, i] += parameters.drift[j, i]
-        copy(q, state.values[j], state.before[j])
         multiply_sized(q, q, p, phi, gain)  # p is symmetric
         variance += dot(q, phi, gain)
-        of_past = dot(q, past, phi)
+        of_past = dot(q, state.past[j], phi)
         slides = abs(state.stops[j, MOVING_STOP]) == state.thresholds[j, MOVING_STOP]
         moves = slides or abs(rate[j]) > parameters.least[j]
-        learned = q if moves else 1
-        was_right = sums[4] > 0.0
-        # logarithm of the likelihoods' ratio, of the assumed model over the identified one
-        gained = innovation**2 / variance + math.log(variance / doubt)
-        gained -= surplus**2 / doubt
-        gained = min(0.5 * gained, MAX_EVIDENCE if sums[4] > 0.0 else parameters.confirming)
-        sums[4] = min(max(sums[4] + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
-        sums[0] = parameters.recent * sums[0] + innovation
-        sums[1] = parameters.recent**2 * sums[1] + variance
-        surprise = sums[0] * sums[0] / sums[1]
+        surprise = weigh_models(parameters, sums, innovation, variance, surplus, doubt)
         is_change = surprise > parameters.surprise
         if is_change:
-            variance += widen(phi, last, change, learned, (surprise - 1.0) * variance, p, gain)
-        yields = is_change and sums[4] <= 0.0 and innovation * moved < 0.0
+            change, unexplained = parameters.change[j], (surprise - 1.0) * variance
+            learned = q if moves else 1
+            variance += widen(phi, state.last[j], change, learned, unexplained, p, gain)
+        yields = is_change and sums.evidence <= 0.0 and innovation * moved < 0.0
         lacks = abs(innovation) if yields else 0.0
         by_law = follow_law(parameters, state, j, moved, measured[j], lacks, remembered, moves)
-        foretells = state.corner.slider[j, STAGE] == FORETELLS
-        assumed = state.corner.law[j] if foretells else parameters.start[j]
-        weight, per_variance = 1.0 / (1.0 + math.exp(-sums[4])), 1.0 / variance
-        offset = gain[0]
-        if not moves:  # the sum may be far more certain than its offset: that gains no more
-            most = max(dot(q, phi, gain) - slope * gain[error], 0.0)
-            offset = min(max(offset, -most), most)
-        for i in range(q):
-            # a spring that does not move changes offset and error only (Schmidt-Kalman)
-            own = offset if i == 0 else gain[i]
-            taken[i] = own * per_variance if i < learned or i == error else 0.0
-            left[i] = taken[i] * variance - gain[i]
-            found[i] += taken[i] * innovation
-        copy(q, phi, last)
-        by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
-        sharpen(q, taken, left, gain, p)
-        negative = min(found[damper], 0.0)
-        found[damper] -= negative
-        found[0] += negative * phi[damper]
+        of_past *= 1.0 / variance
+        learn(parameters, state, j, innovation, variance, moves, remembered, of_past)
+        foretells = state.corner.slider[j].stage == FORETELLS
+        assumed, found = state.corner.law[j] if foretells else parameters.start[j], state.found[j]
+        weight = 1.0 / (1.0 + math.exp(-sums.evidence))
+        copy(q, state.values[j], state.before[j])
         for i in range(q):
             state.values[j, i] = found[i] + weight * (assumed[i] - found[i])
         used = measured[j] - dot(q, state.values[j], phi)
-        of_past *= per_variance
-        for i in range(q):
-            after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
-            past[i] = remembered * (past[i] - of_past * gain[i]) + after
         late = (1.0 - weight) * of_past * innovation + weight * by_law
-        impulse = remembered * sums[2] + used - late
-        acts = sums[4] <= 0.0 and (is_change or was_right)
-        sums[2] = 0.0 if acts else impulse
-        sums[3] = late + (impulse if acts else 0.0)
+        impulse = remembered * sums.impulse + used - late
+        acts = sums.evidence <= 0.0 and (is_change or was_right)
+        sums.impulse = 0.0 if acts else impulse
+        sums.correction = late + (impulse if acts else 0.0)
+        copy(q, phi, state.last[j])
+
+
+@compiled
+def find_regressors(
+    parameters: ModelParameters, state: RestoringState, j: int, e: Floats, rate: Floats
+) -> float:
+    """Find the factors of the parameters of spring j; give its tangent stiffness, that of b, N/m.
+
+    The error b fades meanwhile.
+    """
+    n, phi = len(parameters.springs), state.regressors[j]
+    error = 1 + 2 * n + THRESHOLDS
+    phi[0] = 1.0
+    copy(n, e, phi[1:])
+    copy(n, rate, phi[1 + n :])
+    copy(THRESHOLDS, state.stops[j], phi[1 + 2 * n :])
+    state.found[j, error] *= parameters.kept
+    fade(state.covariance[j], error, parameters.kept, parameters.stuck[j])
+    phi[error] = tangent(parameters, state, j)
+    return phi[error]
+
+
+@compiled
+def weigh_models(
+    parameters: ModelParameters,
+    sums: Record,
+    innovation: float,
+    variance: float,
+    surplus: float,
+    doubt: float,
+) -> float:
+    """Weigh what both models left of a force, N, with their variances, N^2; give the surprise.
+
+    The surprise is the square of the normalised sum of the identified model's innovations;
+    ``surplus`` and ``doubt`` are those of the assumed model.
+    """
+    is_right = sums.evidence > 0.0
+    gained = innovation**2 / variance + math.log(variance / doubt)
+    gained -= surplus**2 / doubt
+    gained = min(0.5 * gained, MAX_EVIDENCE if is_right else parameters.confirming)
+    sums.evidence = min(max(sums.evidence + gained, -MAX_EVIDENCE), MAX_EVIDENCE)
+    sums.innovation = parameters.recent * sums.innovation + innovation
+    sums.variance = parameters.recent**2 * sums.variance + variance
+    return sums.innovation * sums.innovation / sums.variance
+
+
+@compiled
+def learn(
+    parameters: ModelParameters,
+    state: RestoringState,
+    j: int,
+    innovation: float,
+    variance: float,
+    moves: bool,
+    remembered: float,
+    of_past: float,
+) -> None:
+    """Update the identified model of spring j, whose gain P phi is in ``work``.
+
+    Also its covariance c with the past impulse, where ``of_past`` is c . phi over the variance.
+    """
+    n, p, found = len(parameters.springs), state.covariance[j], state.found[j]
+    phi, past, gain = state.regressors[j], state.past[j], state.work[0]
+    damper, error, per_variance = 1 + n + j, 1 + 2 * n + THRESHOLDS, 1.0 / variance
+    q = (error + 4) // 4 * 4
+    taken, left, slope, offset = state.work[1], state.work[2], phi[error], gain[0]
+    if not moves:  # the sum may be far more certain than its offset: that gains no more
+        most = max(dot(q, phi, gain) - slope * gain[error], 0.0)
+        offset = min(max(offset, -most), most)
+    for i in range(q):
+        # a spring that does not move changes offset and error only (Schmidt-Kalman)
+        own = offset if i == 0 else gain[i]
+        taken[i] = own * per_variance if moves or i == 0 or i == error else 0.0
+        left[i] = taken[i] * variance - gain[i]
+        found[i] += taken[i] * innovation
+    sharpen(q, taken, left, gain, p)
+    negative = min(found[damper], 0.0)
+    found[damper] -= negative
+    found[0] += negative * phi[damper]
+    by_taken, by_left = dot(q, taken, phi), dot(q, left, phi)
+    for i in range(q):  # an error of the motion is none of the force
+        after = gain[i] + taken[i] * by_left - gain[i] * by_taken - p[i, error] * slope
+        past[i] = remembered * (past[i] - of_past * gain[i]) + after
 
 
 @compiled

@@ -13,12 +13,13 @@ between samples (ETD2RK, Cox & Matthews 2002, Eq. 22).
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from seft_msgs_py.arrays import Floats, Ints
+from seft_msgs_py.arrays import Floats, Ints, Record
 from seft_plant_sim.compiled import compiled, copy, is_finite, multiply_sized
 
 from seft_ros.reference_force.observers import observe
 from seft_ros.reference_force.restoring_model import (
     CORNER,
+    LINE,
     THRESHOLDS,
     ModelParameters,
     RestoringState,
@@ -28,7 +29,6 @@ from seft_ros.reference_force.restoring_model import (
     slide_on,
     slider_forces,
 )
-from seft_ros.reference_force.yield_corner import SHIFT
 
 ESTIMATE_NAMES = ("stiffness", "damping", "friction")
 """Rows of `target_estimates`."""
@@ -113,7 +113,7 @@ class TargetState(NamedTuple):
     target: Annotated[Floats, "3N"]  # displacements and velocities of the target, and the push
     stops: Annotated[Floats, "n", THRESHOLDS]  # its stop operators
     future_stops: Annotated[Floats, "n", THRESHOLDS]  # those of its prediction
-    sliding: Annotated[Floats, "n", 5]  # see `slide_on`
+    sliding: Annotated[Record, LINE, "n"]
     ground: Annotated[Floats, "n"]  # last ground acceleration
     by_motion: Annotated[Floats, "n", "2n"]  # force of each spring per displacement and velocity
     by_state: Annotated[Floats, 2, "N", "2N"]  # push of the model at the last sample and at this
@@ -235,7 +235,7 @@ def update_target(
     move_stops(p.model, state.model.thresholds, moved, state.model.stops)
     follow_specimen(p.model, state.model, e, rate, force)
     for j in range(n):
-        state.stops[j, CORNER] += state.model.corner.slider[j, SHIFT]
+        state.stops[j, CORNER] += state.model.corner.slider[j].shift
     take_model(p, state, progress)
     if not first:
         advance(p, state, state.ground, ground[0], progress)
@@ -389,7 +389,7 @@ def advance(
             for i in range(half):
                 new[i] = old[i] + part * (new[i] - old[i])
                 for j in range(n):  # the correction of the restoring force's past impulse
-                    new[i] -= p.by_spring[i, j] * model.sums[j, 3]
+                    new[i] -= p.by_spring[i, j] * model.sums[j].correction
             for i in range(len(state.line)):
                 new[i] += part * p.dt * state.line[i, 2 * half + 1]
             if side:  # correct the state by the change of the push
@@ -467,8 +467,9 @@ def predict(
     for j in range(n):
         ground[j] = progress * known[0, j]
         copy(THRESHOLDS, state.stops[j], stops[j])
-        state.sliding[j] = 0.0
-        state.sliding[j, 3] = -1.0
+        line = state.sliding[j]
+        line.force = line.slope = line.moved = line.sense = 0.0
+        line.room = -1.0
     slider_forces(p.model, state.model.values, stops, sliders)
     push(p, state, 1, z, sliders, ground, z[2 * half :])
     for i in range(len(state.line)):

@@ -38,22 +38,38 @@ earlier forces with every sample, see `restoring_model`.
 import math
 from typing import Annotated, NamedTuple
 
-from seft_msgs_py.arrays import Floats
+import numpy as np
+from seft_msgs_py.arrays import Floats, Record
 from seft_plant_sim.compiled import compiled, copy, dot, multiply_sized
 
 STANDS_OUT = 20.0
 """Least motion, or force, over its noise that is seen well: regression on a noisy motion
 underestimates, by the square of the noise over the motion (0.25 %)."""
+_P, _K, _C, _W, _FORCE, _ERROR, _END_ERROR = range(7)
+"""Places of the unknowns p, K, C, w, c, b and b_s."""
 HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-_SENSE, _FORCE, _SUM, _VARIANCE, _SLID, _FROM, _END, _AT, STAGE, SHIFT, MENDED = range(11)
-_ERROR, _START, _STICKS, _SPREAD = range(11, 15)
-"""Columns of ``slider``: d; c, N; recent innovations, N, and their variance, N^2; motion of
-foretold slips, m, or -1 before one on the other side; where the slips before began and where the
-last one ended, m, and at which force, without damping, N; stage of the law, 0 before it begins;
-how far the last sample has shifted z with y, m; what it has mended of the past impulse, over a
-period, N; b and b_s, m; 1 while it sticks; and the variance of the last innovation, N^2."""
+SLIDER = np.dtype(
+    [
+        ("stage", "f8"),  # of the law: 0 before it begins, `_BEGUN` or `FORETELLS`
+        ("sense", "f8"),  # d
+        ("force", "f8"),  # c, N
+        ("sticks", "f8"),  # 1 while it sticks, or 0
+        ("missed", "f8"),  # recent innovations, N
+        ("chance", "f8"),  # their variance, N^2
+        ("variance", "f8"),  # of the last one, N^2
+        ("foretold", "f8"),  # motion of foretold slips, m; -1 before one on the other side
+        ("begun", "f8"),  # deformation at which the slips before began, m
+        ("ended", "f8"),  # e_s, m
+        ("held", "f8"),  # force at e_s, without damping, N
+        ("error", "f8"),  # b, m
+        ("end_error", "f8"),  # b_s, m
+        ("shift", "f8"),  # by which the last sample has moved z with y, m
+        ("mended", "f8"),  # by it of the past impulse, over a period, N
+    ]
+)
+"""State of a law's slider; zeros before it begins."""
 
 
 class CornerParameters(NamedTuple):
@@ -89,10 +105,18 @@ class CornerState(NamedTuple):
     """State of the laws: arrays of zeros."""
 
     law: Annotated[Floats, "n", "q"]  # parameters, in the places of the model's
-    covariance: Annotated[Floats, "n", 8, 8]  # of p, K, C, w, c, b, b_s, and a zero
+    covariance: Annotated[Floats, "n", 8, 8]  # of the unknowns, and a zero
     past: Annotated[Floats, "n", 8]  # their covariance with the past impulse, over a period
-    slider: Annotated[Floats, "n", 15]
+    slider: Annotated[Record, SLIDER, "n"]
     work: Annotated[Floats, 4, 8]
+
+
+@compiled
+def forget(slider: Record) -> None:
+    """Set the state of a slider to zeros."""
+    slider.stage = slider.sense = slider.force = slider.sticks = slider.foretold = 0.0
+    slider.missed = slider.chance = slider.variance = slider.shift = slider.mended = 0.0
+    slider.begun = slider.ended = slider.held = slider.error = slider.end_error = 0.0
 
 
 @compiled
@@ -120,46 +144,50 @@ def expect_corner(
     """
     z, law, slider, covariance = phi[p.place], state.law[j], state.slider[j], state.covariance[j]
     damping, e, unsure = 1 + len(p.start) + j, phi[1 + j], 0.0
-    if slider[_STICKS] == 0.0:  # it slips on from here, or sticks
-        slider[_START], state.past[j, 6] = slider[_ERROR], state.past[j, 5]
+    if slider.sticks == 0.0:  # it slips on from here, or sticks
+        slider.end_error, state.past[j, _END_ERROR] = slider.error, state.past[j, _ERROR]
         for i in range(8):
-            covariance[i, 6] = covariance[i, 5]
-        copy(8, covariance[5], covariance[6])
+            covariance[i, _END_ERROR] = covariance[i, _ERROR]
+        copy(8, covariance[_ERROR], covariance[_END_ERROR])
         if abs(z) < y:  # it turned
-            slider[_END] = e - (z - slider[_SENSE] * y)
-    slider[_ERROR] *= p.kept
-    fade(covariance, 5, p.kept, (1.0 - p.kept * p.kept) * p.observed[j, 0])
-    z = slider[_SENSE] * y + e - slider[_END] + slider[_ERROR] - slider[_START]
+            slider.ended = e - (z - slider.sense * y)
+    slider.error *= p.kept
+    fade(covariance, _ERROR, p.kept, (1.0 - p.kept * p.kept) * p.observed[j, 0])
+    z = slider.sense * y + e - slider.ended + slider.error - slider.end_error
     over = abs(z) - y
     slips = over >= 0.0
-    slider[_STICKS] = 0.0 if slips else 1.0
+    slider.sticks = 0.0 if slips else 1.0
     if slips:
         z = y if z > 0.0 else -y
-        of_z = covariance[5, 5] + covariance[6, 6] - 2.0 * covariance[5, 6]
+        of_z = (
+            covariance[_ERROR, _ERROR]
+            + covariance[_END_ERROR, _END_ERROR]
+            - 2.0 * covariance[_ERROR, _END_ERROR]
+        )
         unsure = 0.5 * law[p.place] ** 2 * of_z * math.exp(-0.5 * over * over / of_z)
-        if z * slider[_SENSE] < 0.0:
-            slider[_SENSE], slider[_SLID], slider[_FROM] = -slider[_SENSE], 0.0, slider[_END]
-        slider[_END], slider[_AT] = e, measured - law[damping] * phi[damping]
+        if z * slider.sense < 0.0:
+            slider.sense, slider.foretold, slider.begun = -slider.sense, 0.0, slider.ended
+        slider.ended, slider.held = e, measured - law[damping] * phi[damping]
     phi[p.place] = z
-    covariance[1, 1] += p.drift[j, 1 + j]
-    covariance[2, 2] += p.drift[j, damping]
+    covariance[_K, _K] += p.drift[j, 1 + j]
+    covariance[_C, _C] += p.drift[j, damping]
     variance = unsure + _variance(p, state, j, phi, y)
     missed = measured - _force(p, state, j, phi)
-    slider[_SUM] = p.recent * slider[_SUM] + missed
-    slider[_VARIANCE] = p.recent * p.recent * slider[_VARIANCE] + variance
+    slider.missed = p.recent * slider.missed + missed
+    slider.chance = p.recent * p.recent * slider.chance + variance
     if is_refuted(p, slider):
-        slider[_SLID] = -1.0
-        if slider[STAGE] == _BEGUN and not slips and missed * missed > variance:
-            by_w = (missed * missed - variance) / state.work[0, 3] ** 2
-            covariance[3, 3] += min(by_w, law[p.place] ** 2)
+        slider.foretold = -1.0
+        if slider.stage == _BEGUN and not slips and missed * missed > variance:
+            by_w = (missed * missed - variance) / state.work[0, _W] ** 2
+            covariance[_W, _W] += min(by_w, law[p.place] ** 2)
             variance = _variance(p, state, j, phi, y)
-    if slips and slider[_SLID] >= 0.0:
-        slider[_SLID] += abs(moved)
-        saved = law[p.place] * slider[_SLID]
-        of_saved = p.noise[j] + covariance[3, 3] * slider[_SLID] ** 2
+    if slips and slider.foretold >= 0.0:
+        slider.foretold += abs(moved)
+        saved = law[p.place] * slider.foretold
+        of_saved = p.noise[j] + covariance[_W, _W] * slider.foretold**2
         if saved > STANDS_OUT * math.sqrt(of_saved) and _yields(p, law, j):
-            slider[STAGE] = FORETELLS
-    slider[_SPREAD] = variance
+            slider.stage = FORETELLS
+    slider.variance = variance
     return variance
 
 
@@ -176,10 +204,10 @@ def fade(covariance: Floats, place: int, kept: float, gained: float) -> None:
 def _variance(p: CornerParameters, state: CornerState, j: int, phi: Floats, y: float) -> float:
     """Variance of a force about its law, N^2; ``work`` is then the factors and their gains."""
     factors, gain, law, slider = state.work[0], state.work[1], state.law[j], state.slider[j]
-    sense, damping, by_slider = slider[_SENSE], 1 + len(p.start) + j, law[p.place] * slider[_STICKS]
-    factors[0], factors[1], factors[2] = 1.0, phi[1 + j], phi[damping]
-    factors[3], factors[4] = phi[p.place] - sense * y, sense
-    factors[5], factors[6] = law[1 + j] + by_slider, -by_slider
+    sense, damping, by_slider = slider.sense, 1 + len(p.start) + j, law[p.place] * slider.sticks
+    factors[_P], factors[_K], factors[_C] = 1.0, phi[1 + j], phi[damping]
+    factors[_W], factors[_FORCE] = phi[p.place] - sense * y, sense
+    factors[_ERROR], factors[_END_ERROR] = law[1 + j] + by_slider, -by_slider
     multiply_sized(8, 8, state.covariance[j], factors, gain)
     return p.white[j] + law[damping] ** 2 * p.observed[j, 1] + dot(8, factors, gain)
 
@@ -188,17 +216,17 @@ def _variance(p: CornerParameters, state: CornerState, j: int, phi: Floats, y: f
 def _force(p: CornerParameters, state: CornerState, j: int, phi: Floats) -> float:
     """Force by a law, N: with b, and with c, which is not w y before w is known."""
     law, slider, factors = state.law[j], state.slider[j], state.work[0]
-    beside = law[1 + j] * slider[_ERROR] + slider[_FORCE] * factors[4]
-    return dot(len(law), law, phi) + law[p.place] * (factors[3] - phi[p.place]) + beside
+    beside = law[1 + j] * slider.error + slider.force * factors[_FORCE]
+    return dot(len(law), law, phi) + law[p.place] * (factors[_W] - phi[p.place]) + beside
 
 
 @compiled
 def may_begin(p: CornerParameters, state: CornerState, j: int) -> bool:
     """Say whether there is no law, or one of no yielding, or refuted where it foretold no slip."""
     slider = state.slider[j]
-    foretold = slider[STAGE] == FORETELLS and slider[_STICKS] == 0.0
+    foretold = slider.stage == FORETELLS and slider.sticks == 0.0
     fails = not _yields(p, state.law[j], j) or (is_refuted(p, slider) and not foretold)
-    return slider[STAGE] == 0.0 or fails
+    return slider.stage == 0.0 or fails
 
 
 @compiled
@@ -211,9 +239,9 @@ def _yields(p: CornerParameters, law: Floats, j: int) -> bool:
 
 
 @compiled
-def is_refuted(p: CornerParameters, slider: Floats) -> bool:
+def is_refuted(p: CornerParameters, slider: Record) -> bool:
     """Say whether recent innovations of a law are larger than chance makes them."""
-    return slider[_SUM] * slider[_SUM] > p.surprise * slider[_VARIANCE]
+    return slider.missed * slider.missed > p.surprise * slider.chance
 
 
 @compiled
@@ -242,11 +270,11 @@ def begin_corner(
     """
     law, slider, covariance, e = state.law[j], state.slider[j], state.covariance[j], phi[1 + j]
     along, damping, sense = state.work[1], 1 + len(p.start) + j, 1.0 if moved > 0.0 else -1.0
-    now, back = measured - found[damping] * phi[damping], slider[_SENSE] * sense
-    start = HOLDS if slider[_SENSE] == 0.0 else slider[_END] if back < 0.0 else slider[_FROM]
+    now, back = measured - found[damping] * phi[damping], slider.sense * sense
+    start = HOLDS if slider.sense == 0.0 else slider.ended if back < 0.0 else slider.begun
     part, way = (1.0, abs(e)) if start == HOLDS else (0.5, abs(e - start))
     way = max(way, abs(moved))
-    rise = abs(now - slider[_AT]) if back <= 0.0 else 0.0
+    rise = abs(now - slider.held) if back <= 0.0 else 0.0
     slope = max(slope, (rise + lacks) / way)
     over = lacks / slope
     if over >= part * way:  # it did not begin before the motion
@@ -256,22 +284,22 @@ def begin_corner(
     law[0], law[1 + j], law[damping] = 0.0, slope, found[damping]
     law[0] = measured + sense * lacks - dot(len(law), law, phi)
     along[:] = 0.0
-    along[0], along[1], along[3], along[4] = e - sense * (over + y), -1.0, 1.0, y
+    along[_P], along[_K], along[_W], along[_FORCE] = e - sense * (over + y), -1.0, 1.0, y
     for i in range(8):
         for k in range(8):
             covariance[i, k] = slope * slope * along[i] * along[k]
-    covariance[0, 0] += p.prior[j, 0]
-    covariance[1, 1] += p.prior[j, 1 + j]
-    covariance[2, 2] += p.prior[j, damping]
-    covariance[3, 3] += 2.0 * p.observed[j, 0] * (slope / way) ** 2  # of the ends of the way
-    covariance[4, 4] += slope * slope * moved * moved  # the corner may lie a sample away
-    covariance[5, 5] = p.observed[j, 0]
-    slider[:] = 0.0
+    covariance[_P, _P] += p.prior[j, 0]
+    covariance[_K, _K] += p.prior[j, 1 + j]
+    covariance[_C, _C] += p.prior[j, damping]
+    covariance[_W, _W] += 2.0 * p.observed[j, 0] * (slope / way) ** 2  # of the ends of the way
+    covariance[_FORCE, _FORCE] += slope * slope * moved * moved  # the corner may lie a sample away
+    covariance[_ERROR, _ERROR] = p.observed[j, 0]
+    forget(slider)
     state.past[j] = 0.0
-    slider[_SENSE], slider[_SLID], slider[STAGE] = sense, -1.0, _BEGUN
-    slider[_FROM], slider[_END], slider[_AT] = start, e, now
+    slider.sense, slider.foretold, slider.stage = sense, -1.0, _BEGUN
+    slider.begun, slider.ended, slider.held = start, e, now
     phi[p.place] = sense * y
-    slider[_SPREAD] = _variance(p, state, j, phi, y)
+    slider.variance = _variance(p, state, j, phi, y)
     return y
 
 
@@ -293,29 +321,29 @@ def follow_corner(
     """
     law, slider, covariance = state.law[j], state.slider[j], state.covariance[j]
     factors, gain, taken, left = state.work[0], state.work[1], state.work[2], state.work[3]
-    damping, past, variance = 1 + len(p.start) + j, state.past[j], slider[_SPREAD]
+    damping, past, variance = 1 + len(p.start) + j, state.past[j], slider.variance
     missed = measured - _force(p, state, j, phi)
     of_past = dot(8, past, factors) / variance
     for i in range(8):
-        taken[i] = gain[i] / variance if moves or i == 0 or i >= 5 else 0.0
+        taken[i] = gain[i] / variance if moves or i == _P or i >= _ERROR else 0.0
         left[i] = taken[i] * variance - gain[i]
     sharpen(8, taken, left, gain, covariance)
     for i in range(8):  # an error of the motion is none of the force
-        past[i] = remembered * (past[i] - of_past * gain[i]) + dot(5, covariance[i], factors)
-    slider[MENDED], slider[SHIFT] = of_past * missed, 0.0
-    law[0] += taken[0] * missed
-    law[1 + j] += taken[1] * missed
-    law[damping] += taken[2] * missed
-    law[p.place] += taken[3] * missed
-    slider[_FORCE] += taken[4] * missed
-    slider[_ERROR] += taken[5] * missed
-    slider[_START] += taken[6] * missed
-    if not _yields(p, law, j) or slider[_FORCE] <= 0.0:
-        slider[STAGE] = _BEGUN
+        past[i] = remembered * (past[i] - of_past * gain[i]) + dot(_ERROR, covariance[i], factors)
+    slider.mended, slider.shift = of_past * missed, 0.0
+    law[0] += taken[_P] * missed
+    law[1 + j] += taken[_K] * missed
+    law[damping] += taken[_C] * missed
+    law[p.place] += taken[_W] * missed
+    slider.force += taken[_FORCE] * missed
+    slider.error += taken[_ERROR] * missed
+    slider.end_error += taken[_END_ERROR] * missed
+    if not _yields(p, law, j) or slider.force <= 0.0:
+        slider.stage = _BEGUN
         return y
-    slider[SHIFT] = slider[_SENSE] * (slider[_FORCE] / law[p.place] - y)
-    phi[p.place] += slider[SHIFT] + slider[_STICKS] * (taken[5] - taken[6]) * missed
-    return slider[_FORCE] / law[p.place]
+    slider.shift = slider.sense * (slider.force / law[p.place] - y)
+    phi[p.place] += slider.shift + slider.sticks * (taken[_ERROR] - taken[_END_ERROR]) * missed
+    return slider.force / law[p.place]
 
 
 @compiled
