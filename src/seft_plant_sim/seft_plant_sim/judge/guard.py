@@ -220,11 +220,10 @@ class Guard:
     def trusted(self, found: int) -> int:
         """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
-        ``found`` is the result of the step that ends the test. What stands still began there. Else
-        it is what the judge saw first: a wrong channel, or an event, which may have been one; if it
-        saw nothing, a time before. The others tell a displacement or velocity that is wrong, so
-        that it is not used. But where a velocity is off by less than displacements show, force and
-        acceleration may be wrong.
+        ``found`` is the result of the step that ends the test. What stands still, and what was
+        wrong, or an event, in all samples from one on, began there; anything else before it was
+        found. The others tell a displacement or velocity that is wrong, so that it is not used. But
+        if a velocity is off by less than displacements show, force and acceleration may be wrong.
         """
         row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
         last, replaced = int(judge.step[0]), (judge.sets & ANY_CHANNEL).any()
@@ -234,13 +233,13 @@ class Guard:
         unsure = ((seen > 0.0) & (seen < 2.0 * self.parameters.detectors.still)).any()
         if (row >= WRONG or not found & FAULT) and not (unsure or (judge.sets & FORCES).any()):
             return last
-        ages = range(len(judge.sets))
-        first = max((age for age in ages if judge.sets[judge.place[0] - age].any()), default=-1)
+        odd = [age for age in range(len(judge.sets)) if judge.sets[judge.place[0] - age].any()]
+        since = 1 + max(odd, default=0)
         if found & FAULT and detectors.FROZEN <= row < WRONG:
-            first = max(first, int(self.state.detectors.repeats.max()))
-        elif first < 0:
-            first = round(FOUND_IN / self._dt) - 1
-        return last - 1 - first - max(1, int(LASTS / self._dt))  # one may have been accepted before
+            since = max(since, 1 + int(self.state.detectors.repeats.max()))
+        elif len(odd) < since:
+            since = max(since, round(FOUND_IN / self._dt))
+        return last - since - max(1, int(LASTS / self._dt))  # one may have been accepted before
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""
