@@ -9,13 +9,13 @@ from seft_msgs_py.errors import WireError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_msgs_py.wire.trajectory import TrajectoryCodec
 
-KEPT_STOPS = 8
+KEPT_STOPS = 20
 """Fallback stops that a rig keeps: of more than the time in which wrong samples are found."""
 
 
 def stop_period(dt: float) -> int:
-    """Give the steps between two fallback stops: 10 ms, little of a stop."""
-    return max(1, round(0.01 / dt))
+    """Give the steps between two fallback stops: 5 ms, little of a stop."""
+    return max(1, round(0.005 / dt))
 
 
 class MessagesAhead:

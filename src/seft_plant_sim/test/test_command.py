@@ -38,19 +38,19 @@ def test_the_newest_answer_is_held():
     np.testing.assert_array_equal(command.value, [0.0, 0.0])
 
 
-@pytest.mark.parametrize(("trusted", "first"), [(59, 55), (54, 50), (21, 20), (19, None)])
+@pytest.mark.parametrize(("trusted", "first"), [(109, 105), (104, 100), (11, 10), (9, None)])
 def test_a_stop_is_that_of_the_last_trusted_step_of_those_kept(trusted, first):
     command = Command(CODEC, 10.0, is_plan=True)
-    command.current = 59
-    for step in range(0, 56, 5):
-        points = 0.01 * (step + np.arange(40.0))[:, np.newaxis, np.newaxis] * np.ones(2)
+    command.current = 109
+    for step in range(0, 106, 5):
+        points = 0.01 * (step + np.arange(120.0))[:, np.newaxis, np.newaxis] * np.ones(2)
         command.take(CODEC.encode_points(step, points[:, 0]))
-    if first is None:  # eight are kept
+    if first is None:  # twenty are kept
         assert command.plan(trusted) == ()
         return
     commands, before = command.plan(trusted)
-    np.testing.assert_array_equal(commands[:, 0], 0.01 * (first + np.arange(59.0 - first, 40.0)))
-    np.testing.assert_allclose(before, 0.58, atol=1e-12)
+    np.testing.assert_array_equal(commands[:, 0], 0.01 * (first + np.arange(109.0 - first, 120.0)))
+    np.testing.assert_allclose(before, 1.08, atol=1e-12)
 
 
 @pytest.mark.parametrize(

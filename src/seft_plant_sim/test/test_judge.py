@@ -64,7 +64,7 @@ def judged_of(samples, flow, steps=None, asked=None, **known):
     judged, verdicts = np.empty_like(samples), []
     for k, step in enumerate(range(len(samples)) if steps is None else steps):
         judge(p, state, step, samples[k], np.array([flow[k], 0.0 * flow[k]]), judged[k])
-        verdicts.append(state.replaced[k % len(state.replaced)] >> np.arange(4)[:, np.newaxis] & 1)
+        verdicts.append(state.sets[k % len(state.sets)] >> np.arange(4)[:, np.newaxis] & 1)
         for i in range(N if asked is not None else 0):
             ask(p.axes[i], state.axes[i], asked[k, i])
     return judged, np.array(verdicts), state
@@ -225,7 +225,7 @@ def test_a_wrong_value_that_was_accepted_is_repaired_and_a_sound_one_taken_back(
     assert set(np.flatnonzero(replaced[:, A, 0])) <= {AT, AT + 1}
     np.testing.assert_array_equal(judged[AT + REVISED :], late[AT + REVISED : AT + 8])
     assert (state.axes[0].alive[0].wrong[:3] & 15).tolist() == [0, 0, 0]
-    assert not state.counts.any() and not state.replaced.any()
+    assert not state.counts.any() and not (state.sets & 15).any()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -438,5 +438,5 @@ def test_nothing_accepted_widens_a_variance_for_long():
         faulty[at, A, 1] += 0.5 * LARGEST[A, 1]
     for at in range(60, LENGTH - 60, 50):
         _, _, state = judged_of(faulty[: at + 1 + REVISED], flow)
-        assert state.replaced[at % len(state.replaced), 1] == 1 << A
+        assert state.sets[at % len(state.sets), 1] == 1 << A
     assert state.axes[1].known == 0.0

@@ -8,6 +8,8 @@ from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.outcome import Simulated
 from seft_msgs_py.wire.topics import Timebase
 from seft_plant_sim.hardware.hosted import HardwareError
+from seft_plant_sim.judge.guard import FAULT
+from seft_plant_sim.judge.hypotheses import EVENT
 from seft_plant_sim.rig import Rig
 from seft_plant_sim.rig_parameters import RIG_TABLE
 from seft_plant_sim.simulated.rig_step import left_open
@@ -177,6 +179,16 @@ def test_a_rig_knows_up_to_which_step_nothing_wrong_was_used(faults, ends, trust
     assert rig.step_index == 200
     assert rig.violation is None if ends is None else rig.violation.endswith(ends)
     assert rig.trusted == trusted
+
+
+def test_an_event_before_wrong_samples_may_have_been_wrong():
+    rig = moving_rig(("rig", "faults", "force set -9e4 at 0.396 for 3"))
+    judge = rig.guard.state.detectors.judge
+    assert rig.guard.trusted(FAULT) == 194
+    judge.sets[judge.place[0] - 3] = EVENT
+    assert rig.guard.trusted(FAULT) == 193
+    judge.sets[judge.place[0] - 5] = EVENT  # with a sound sample between: 30 ms before
+    assert rig.guard.trusted(FAULT) == 182
 
 
 @pytest.mark.parametrize("method", ["read", "write"])

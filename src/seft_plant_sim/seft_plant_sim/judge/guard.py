@@ -16,7 +16,7 @@ from seft_plant_sim.judge import detectors, servo_model
 from seft_plant_sim.judge.detector_list import DETECTORS, describe
 from seft_plant_sim.judge.detector_step import begin_detectors, judge_sample
 from seft_plant_sim.judge.detectors import WRONG, DetectorParameters, DetectorState, detectors_of
-from seft_plant_sim.judge.hypotheses import FORCES
+from seft_plant_sim.judge.hypotheses import ANY_CHANNEL, FORCES
 from seft_plant_sim.judge.judge import LASTS
 from seft_plant_sim.limits import Limits, event_ring, exceeds, is_exceeded
 
@@ -221,25 +221,25 @@ class Guard:
         """Give the last step up to which no wrong value was used, as far as is known; -1: none.
 
         ``found`` is the result of the step that ends the test. What stands still, and what was
-        replaced in all samples from one on, began there; anything else before it was found. The
-        others tell a displacement or velocity that is wrong, so that it is not used. But where a
-        velocity is off by less than displacements show, force and acceleration may be wrong.
+        wrong, or an event, in all samples from one on, began there; anything else before it was
+        found. The others tell a displacement or velocity that is wrong, so that it is not used. But
+        if a velocity is off by less than displacements show, force and acceleration may be wrong.
         """
         row, judge = int(self.state.counts[DETECTED]) // len(self._axes), self.state.detectors.judge
-        last, window = int(judge.step[0]), len(judge.replaced)
-        wrong = [age for age in range(window) if judge.replaced[judge.place[0] - age].any()]
-        if not (found & FAULT or wrong):
+        last, replaced = int(judge.step[0]), (judge.sets & ANY_CHANNEL).any()
+        if not (found & FAULT or replaced):
             return -1
         seen = self._dt * np.abs(self.state.measured - self.state.detectors.last)[VELOCITY]
         unsure = ((seen > 0.0) & (seen < 2.0 * self.parameters.detectors.still)).any()
-        if (row >= WRONG or not found & FAULT) and not (unsure or (judge.replaced & FORCES).any()):
+        if (row >= WRONG or not found & FAULT) and not (unsure or (judge.sets & FORCES).any()):
             return last
-        since = 1 + max(wrong, default=0)
+        odd = [age for age in range(len(judge.sets)) if judge.sets[judge.place[0] - age].any()]
+        since = 1 + max(odd, default=0)
         if found & FAULT and detectors.FROZEN <= row < WRONG:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
-        elif (found & FAULT and row < WRONG) or len(wrong) < since:
+        elif len(odd) < since:
             since = max(since, round(FOUND_IN / self._dt))
-        return last - since - max(2, round(LASTS / self._dt))  # one may have been accepted before
+        return last - since - max(1, int(LASTS / self._dt))  # one may have been accepted before
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""

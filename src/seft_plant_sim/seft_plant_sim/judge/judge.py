@@ -166,14 +166,14 @@ class JudgeState(NamedTuple):
     """State of the judge: arrays of zeros."""
 
     step: Annotated[Ints, 1]  # of the last sample
-    place: Annotated[Ints, 1]  # of the last sample in ``replaced``
+    place: Annotated[Ints, 1]  # of the last sample in ``sets``
     axes: Annotated[Record, AXIS_STATE, "n"]
     room: Annotated[Record, JUDGE_ROOM, 1]
     raw: Annotated[Floats, 4, "n"]  # the last sample as measured
     moved: Annotated[Floats, 4, "n"]  # magnitude of its change
     resolution: Annotated[Floats, 4, "n"]  # least change of a channel so far; infinite: none
     restoring: Annotated[Floats, "n"]  # r at the last judged sample, N
-    replaced: Annotated[Ints, "window", "n"]  # sets of channels at the last samples, a ring buffer
+    sets: Annotated[Ints, "window", "n"]  # of the last samples, a ring buffer
     counts: Annotated[Ints, 6, "n"]  # of replaced values in these; of samples, see `ANY_ROW`
 
 

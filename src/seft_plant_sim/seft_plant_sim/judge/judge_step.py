@@ -487,15 +487,15 @@ def publish(state: JudgeState, i: int, judged: Floats) -> None:
     """Give the likeliest values, and count those that were replaced, as is known by now."""
     b = state.axes[i].alive[0]
     for age in range(1 + REVISED):  # the present sample takes the place of the oldest one
-        place, now = place_of_age(state, age), b.wrong[age] & ANY_CHANNEL
-        was = state.replaced[place, i]
+        place, now = place_of_age(state, age), b.wrong[age]
+        was = state.sets[place, i]
         if now == was:
             continue  # as nearly always
         for row in range(4):
             state.counts[row, i] += (now >> row & 1) - (was >> row & 1)
-        state.counts[records.ANY_ROW, i] += int(now != 0) - int(was != 0)
+        state.counts[records.ANY_ROW, i] += int(members(now) > 0) - int(members(was) > 0)
         state.counts[records.SEVERAL_ROW, i] += int(members(now) > 1) - int(members(was) > 1)
-        state.replaced[place, i] = now
+        state.sets[place, i] = now
     for row in range(4):
         judged[row, i] = b.value[0, row]
 
@@ -503,11 +503,11 @@ def publish(state: JudgeState, i: int, judged: Floats) -> None:
 @compiled
 def is_replaced(state: JudgeState, age: int, row: int, i: int) -> bool:
     """Say whether a value of the last sample, or of one before, was replaced."""
-    return state.replaced[place_of_age(state, age), i] >> row & 1 != 0
+    return state.sets[place_of_age(state, age), i] >> row & 1 != 0
 
 
 @compiled
 def place_of_age(state: JudgeState, age: int) -> int:
-    """Place of a sample in ``replaced``, by its age; -1: of the next one."""
-    place, places = state.place[0] - age, len(state.replaced)
+    """Place of a sample in ``sets``, by its age; -1: of the next one."""
+    place, places = state.place[0] - age, len(state.sets)
     return place + places if place < 0 else place if place < places else 0
