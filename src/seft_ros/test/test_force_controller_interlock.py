@@ -20,7 +20,7 @@ from interlocks_at_hand import (
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.force_controller.interlock import Interlock, interlock_of
 from seft_ros.protection.protected_force import extrapolated
 
 
@@ -124,13 +124,6 @@ def test_a_rig_that_obeys_forces_has_no_valve_to_stay_at_its_limit():
         stepped(guarded, step, force(900.0, 0.0), state(), drive=900.0)
     assert guarded.reason == ""
     assert guarded.state.tracking.limited_at == LONG_AGO  # tracking is watched on
-
-
-def test_the_first_reason_counts():
-    guarded = interlock()
-    guarded.trip(3, "first")
-    guarded.trip(4, "second")
-    assert (guarded.reason, guarded.step_index) == ("first", 3)
 
 
 def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
@@ -254,18 +247,12 @@ def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
         np.testing.assert_array_equal(sample, measured)
 
 
-def section_of(*words):
-    """The force controller's section of a test with two rigs, its axes, and the test."""
-    experiment = load(*words, config="two_pier_bridge")
-    return experiment["force_controller"], experiment.axes, experiment
-
-
 def test_an_interlock_is_made_of_its_section():
     words = ("/**:limits.force:=900.0", "rig:safe.close_time:=0.03")
     words += ("force_controller:watchdog.saturation_time:=0.1",)
-    section, axes, experiment = section_of(*words)
-    controller = Scripted(1, 1)
-    of_all = (controller, section, axes, experiment.timebase)
+    experiment, controller = of_rigs(*words), Scripted(1, 1)
+    axes = experiment.axes
+    of_all = (controller, experiment["force_controller"], axes, experiment.timebase)
     for rig in (None, *experiment.rigs):
         made = Interlock.from_parameters(*of_all, rig)
         assert (made.parameters.largest, made.parameters.window) == (900.0, 500)
@@ -315,8 +302,3 @@ def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
     points[0, 2] = 0.0
     both.step(0, points, rest)
     assert both.reason == ""
-
-
-def test_one_rig_needs_one_interlock():
-    assert isinstance(interlock_of(load(config="demo")), Interlock)
-    assert isinstance(interlock_of(of_rigs()), Interlocks)
