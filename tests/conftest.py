@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from commands_at_hand import run_seft
 from graph_tools import JHU, PATIENCE
-from local_tools import NODES, UNREHEARSED
+from local_tools import NODES, UNREHEARSED, begin
 from ros_domain import reserved_domain
 from seft_msgs_py.virtual import LocalGraph
 from seft_ros.nodes.loop_node import NODE_KINDS
@@ -59,8 +59,7 @@ def running(local_graph):
 
     def make(*overrides, **options):
         graph = local_graph(UNREHEARSED, *overrides, **options)
-        graph.until("ready")
-        assert graph.call("start") == (True, "the test is running")
+        begin(graph)
         graph.run(1.0)
         assert graph.state == "running"
         return graph

@@ -4,6 +4,8 @@ import numpy as np
 from seft_msgs_py.virtual import LocalGraph
 from seft_msgs_py.wire.messages import EstimatesCodec
 from seft_msgs_py.wire.topics import ESTIMATES, MEASURED, RIG_STATE, VALVE_COMMAND
+from seft_ros.bags.recording import Recording
+from seft_ros.bags.recording_bag import read_bag
 from seft_ros.reference_force.reference_force_parameters import reference_force_topic
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
@@ -58,9 +60,20 @@ def assert_same(graph: LocalGraph, recording, steps: int | None = None) -> None:
         np.testing.assert_array_equal(found, known.values[: len(until)])
 
 
-def perform(graph: LocalGraph, end: str = "done") -> None:
-    """Run a test to its end."""
+def begin(graph: LocalGraph) -> None:
+    """Start a test."""
     graph.until("ready")
     accepted, answer = graph.call("start")
     assert accepted, answer
+
+
+def perform(graph: LocalGraph, end: str = "done") -> None:
+    """Run a test to its end."""
+    begin(graph)
     graph.until(end)
+
+
+def saved(graph: LocalGraph) -> Recording:
+    """Read the bag of the test that has just ended."""
+    graph.until(lambda: graph.status("recorder")["phase"] == "saved")
+    return read_bag(graph.status("recorder")["bag"])

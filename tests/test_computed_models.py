@@ -6,10 +6,9 @@ import sys
 
 import numpy as np
 import pytest
-from commands_at_hand import run_seft
 from experiments_at_hand import error_of, load, simulated
 from graph_tools import DEMO, ROOT
-from local_tools import UNREHEARSED, assert_same, offline, perform
+from local_tools import UNREHEARSED, assert_same, begin, offline, perform
 from models_at_hand import MODELS
 from seft_ros.analysis.metrics import nrmse
 from seft_ros.design import preflight_tables
@@ -41,15 +40,9 @@ def example(name, *settings):
 
 
 @pytest.fixture
-def refused(tmp_path):
+def refused(seft):
     """Give the line with which `seft run` refuses a test before it starts anything."""
-
-    def run(*words):
-        status, _, errors = run_seft(tmp_path, "run", *words)
-        assert status == 2
-        return errors.strip().splitlines()[-1]
-
-    return run
+    return lambda *words: seft("run", *words, status=2).stderr.strip().splitlines()[-1]
 
 
 def bare(words):
@@ -89,8 +82,7 @@ def test_a_model_that_becomes_slow_in_a_test_trips_it(local_graph, model, monkey
         graph.graph.clock.sleep(0.051)
         ask(block)
 
-    graph.until("ready")
-    assert graph.call("start")[0]
+    begin(graph)
     graph.run(0.2)
     monkeypatch.setattr(ProtectedForce, "ask_model", slow)
     graph.until("tripped")

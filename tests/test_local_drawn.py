@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from experiments_at_hand import load
 from graph_tools import JHU
-from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, offline
+from local_tools import SHORT, TARGET_MOTION, TWO_AXES, UNREHEARSED, assert_same, begin, offline
 from recordings_at_hand import assert_same_samples
 from seft_msgs_py.config.facts import CHANNELS
 from seft_ros.test_run import offline as offline_loop
@@ -167,8 +167,7 @@ def drawn(seed):
 
 def check_nodes(local_graph, words):
     with local_graph(*words, UNREHEARSED, config=JHU, latency=LATENCY) as graph:
-        graph.until("ready")
-        graph.call("start")
+        begin(graph)
         graph.until(lambda: graph.state in ("done", "tripped"))
         recording = offline(graph)
         assert (recording.trip is None) == (graph.state == "done")

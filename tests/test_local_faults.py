@@ -91,15 +91,6 @@ def test_a_rig_that_ends_a_test_by_itself_trips_it(running, values, reason):
     assert graph.values["detail"].startswith(f"node rig {reason}")
 
 
-def test_a_rig_that_stands_still_tells_so_where_nobody_else_is_watching(running):
-    graph = running(LONG)
-    graph.freeze("force_controller", 0.31)
-    graph.freeze("rig", 0.3)
-    graph.until("tripped", within=1.0)
-    assert graph.values["detail"].startswith("the rig stood still for 0.299 s")
-    assert at_rest(graph)
-
-
 def test_a_rig_that_stood_still_for_some_periods_counts_that_and_does_not_hurry(running):
     graph = running(LONG)
     count = len(graph.samples(RIG_STATE)[0])

@@ -11,7 +11,7 @@ from local_tools import (
     THREE_SECONDS,
     UNREHEARSED,
     assert_same,
-    at_rest,
+    begin,
     offline,
     perform,
 )
@@ -19,7 +19,7 @@ from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.messages import decode_description, decode_diagnostics
 from seft_msgs_py.wire.outcome import NOT_AT_REST, STOPPING
-from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, VALVE_COMMAND, RigAxes
+from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, RIG_STATE, RigAxes
 from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.rig_parameters import RIG_TABLE, as_simulated
 
@@ -89,19 +89,9 @@ def test_a_rig_without_a_velocity_sensor_gives_no_numbers_for_it(hosting):
     assert said.endswith("give /**: sensors.velocity: derived")
 
 
-def test_a_rig_without_commands_trips_and_closes_its_valve(hosting):
-    graph = hosting("Board")
-    graph.delay(VALVE_COMMAND, 1.0, range(500, 3000))
-    perform(graph, "tripped")
-    assert "no new valve_command for 0.02 s (the last is of step 499)" in graph.values["detail"]
-    assert at_rest(graph)
-    assert "safe" in calls()
-
-
 def test_a_rig_that_is_terminated_closes_its_valve_in_time_and_gives_its_devices_back(hosting):
     graph = hosting("Board")
-    graph.until("ready")
-    graph.call("start")
+    begin(graph)
     graph.run(1.0)
     boards.CALLS.clear()
     graph.terminate("rig")
@@ -126,8 +116,7 @@ FAULTS = {
 def test_a_fault_in_a_test_has_its_line_and_the_valve_is_made_safe(hosting, monkeypatch, name):
     graph = hosting(name, UNREHEARSED)
     monkeypatch.setattr(boards.Slow, "clock", graph.graph.clock)
-    graph.until("ready")
-    graph.call("start")
+    begin(graph)
     graph.until("tripped")
     assert re.search(FAULTS[name], graph.values["detail"]), graph.values["detail"]
     graph.run(0.1)
@@ -200,14 +189,13 @@ def test_hardware_that_can_not_be_made_is_one_line(name, says):
     assert str(error.value).startswith(says)
 
 
-def test_faults_are_those_of_a_simulated_rig(hosting, capfd):
-    graph = hosting("Board", "rig:faults:=force add 100 at 1")
-    graph.run(0.1)
-    assert "faults are those of a simulated rig; leave them out" in capfd.readouterr().err
-
-
-def test_hardware_that_can_not_wait_is_refused_in_lockstep(hosting, capfd):
-    graph = hosting("Board", "rig:pace:=lockstep")
-    graph.run(0.1)
-    why = "hardware boards:Board can't wait for a command; make pace realtime"
+@pytest.mark.parametrize(
+    ("word", "why"),
+    [
+        ("faults:=force add 100 at 1", "faults are those of a simulated rig; leave them out"),
+        ("pace:=lockstep", "boards:Board can't wait for a command; make pace realtime"),
+    ],
+)
+def test_what_a_laboratory_s_hardware_can_not_do_is_refused(hosting, capfd, word, why):
+    hosting("Board", f"rig:{word}").run(0.1)
     assert why in capfd.readouterr().err

@@ -15,6 +15,7 @@ from local_tools import (
     UNREHEARSED,
     assert_same,
     at_rest,
+    begin,
     offline,
     perform,
 )
@@ -130,8 +131,7 @@ def test_what_is_lost_on_a_link_costs_little(local_graph, lost):
 def test_bad_messages_change_no_bit_of_a_test(local_graph, pace, seconds, as_stranger):
     motion = f"ground_motion:synthetic.duration:={seconds}"
     graph = local_graph(motion, UNREHEARSED, f"rig:pace:={pace}")
-    graph.until("ready")
-    graph.call("start")
+    begin(graph)
     graph.run(0.1)
     injected = set()
     for _ in range(5):
@@ -185,8 +185,7 @@ def test_two_publishers_of_a_topic_end_the_test_before_anything_moves(local_grap
 
 def test_true_messages_come_through_a_flood(local_graph):
     graph = local_graph(THREE_SECONDS, UNREHEARSED, LOCKSTEP)
-    graph.until("ready")
-    graph.call("start")
+    begin(graph)
     graph.run(0.1)
     for _ in range(5):
         for topic in (VALVE_COMMAND, RIG_STATE, REFERENCE_FORCE):

@@ -3,34 +3,17 @@
 import json
 import re
 
-import numpy as np
 import pytest
 from graph_tools import MISSES_ALLOWED
-from local_tools import LOCKSTEP, LONG, NODES, TARGET_MOTION, UNREHEARSED, at_rest, perform
+from local_tools import LOCKSTEP, LONG, NODES, TARGET_MOTION, UNREHEARSED, at_rest, begin, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
-from seft_plant_sim.simulated.rig import SimulatedRig
 from seft_ros.test_run.blocks import build_blocks
-
-
-def test_a_rig_whose_model_is_not_a_number_trips(running, monkeypatch):
-    graph = running(LONG)
-    read = SimulatedRig.read
-
-    def broken(rig):
-        rig.state.line[:] = np.nan
-        return read(rig)
-
-    monkeypatch.setattr(SimulatedRig, "read", broken)
-    graph.until("tripped", within=0.1)
-    assert graph.values["detail"].endswith(": displacement_wrong")
-    monkeypatch.undo()
 
 
 @pytest.mark.parametrize("end", ["estop", "force_controller"])
 def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph, end):
     graph = local_graph(LONG, *TARGET_MOTION, LOCKSTEP, UNREHEARSED)
-    graph.until("ready")
-    graph.call("start")
+    begin(graph)
     graph.until(lambda: len(graph.samples(RIG_STATE)[0]) > 1503)
     if end == "estop":
         graph.call("estop")

@@ -3,14 +3,13 @@
 import json
 
 import pytest
-from local_tools import LONG, NODES, UNREHEARSED
+from local_tools import LONG, NODES, UNREHEARSED, saved
 from seft_msgs_py.node.senders import Follower
 from seft_msgs_py.virtual.memory import MemoryEndpoint
 from seft_msgs_py.wire.experiment_state import ExperimentState, decode_state, encode_state
 from seft_msgs_py.wire.messages import encode_diagnostics, encode_string
 from seft_msgs_py.wire.outcome import State, tripped_status
 from seft_msgs_py.wire.topics import DESCRIPTION, DIAGNOSTICS, EXPERIMENT_STATE
-from seft_ros.bags.recording_bag import read_bag
 
 LIE = encode_diagnostics(0, [tripped_status("reference_force", "a lie", 7)])
 FALSE = encode_string(json.dumps({"node": "reference_force", "parameters": {"rate": "x"}}))
@@ -51,8 +50,7 @@ def test_a_lie_neither_ends_a_test_nor_gets_into_its_bag(running, tmp_path, name
     assert watch() == "aborted by the operator"
     assert not {LIE, FALSE, FOREIGN} & {*heard}
     assert len(heard) > 50
-    graph.until(lambda: graph.status("recorder")["phase"] == "saved")
-    recording = read_bag(graph.status("recorder")["bag"])
+    recording = saved(graph)
     assert recording.trip.reason == "aborted by the operator"
     assert not any("a lie" in event.text for event in recording.events)
 

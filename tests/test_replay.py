@@ -2,7 +2,7 @@
 
 import pytest
 from graph_tools import DEMO, JHU
-from local_tools import LOCKSTEP, LONG, NODES, UNREHEARSED
+from local_tools import LOCKSTEP, LONG, NODES, UNREHEARSED, begin, saved
 
 SHORT = ("-p", "ground_motion:synthetic.duration:=2.0", "-p", "ground_motion:tail:=0.2")
 
@@ -21,11 +21,10 @@ def test_every_node_answers_a_stopped_test_bit_for_bit(local_graph, seft_json, t
     words += (f"recorder:directory:={tmp_path}", "recorder:name:=bag")
     nodes = (*NODES, "recorder")
     graph = local_graph(*words, config=config, nodes=nodes, latency=5e-4)
-    graph.until("ready")
-    assert graph.call("start")[0]
+    begin(graph)
     graph.run(1.5)
     assert graph.call("stop")[0]
-    graph.until(lambda: graph.status("recorder")["phase"] == "saved")
+    saved(graph)
     result = seft_json("replay", "bag")
     assert result["identical"] is True
     for one in result["replays"]:

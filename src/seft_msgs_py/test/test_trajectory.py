@@ -232,14 +232,6 @@ def test_a_negative_stamp_is_refused():
         codec.decode(cdr(codec, -1, np.zeros((1, 1, 1))))
 
 
-def test_a_message_of_another_layout_is_read_field_by_field():
-    codec = TrajectoryCodec(topics.RIG_STATE, ("größe", "y"), TIMEBASE)
-    values = np.arange(12.0).reshape(1, 6, 2)
-    step, found = codec.decode(cdr(codec, 501, values, pad=b"\xff", frame_id="lab"))
-    assert step == 501
-    assert np.array_equal(found, values)
-
-
 def test_every_truncation_is_refused():
     for topic in topics.LOOP_TOPICS:
         codec = TrajectoryCodec(topic, ("x", "y"), TIMEBASE)

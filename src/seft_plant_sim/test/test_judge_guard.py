@@ -6,7 +6,6 @@ from bare_rig import rig_section
 from hypothesis import given
 from hypothesis import strategies as st
 from seft_msgs_py.config.facts import CHANNELS
-from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
 from seft_plant_sim.judge.guard import DRIVE_ROW, ENDS_TEST, RANGES, SUSPECT_ROW, Guard
 
@@ -67,11 +66,6 @@ def test_the_range_is_of_what_a_sensor_shows_not_of_what_it_means():
     passed, found = taken(derived, moving)
     assert (passed[1, 1] > 0.02).all()
     assert [named(each) for each in found] == [set(), set()]
-
-
-def test_nothing_is_known_of_a_velocity_that_is_derived():
-    with pytest.raises(InputError, match=r"velocity_lag is given, but sensors.velocity is derived"):
-        guard(sensors__velocity="derived", calibration__velocity_lag=0.001)
 
 
 def test_what_rounding_leaves_of_a_filter_at_rest_is_no_step_of_a_converter():

@@ -42,17 +42,6 @@ def noise(axes, steps=300, seed=1):
     return rng.normal(0, 3, (steps + 50, axes)), rng.normal(0, 1, (steps, 4, axes)) * scale
 
 
-def assert_is_its_linear_filter(one, motion, states, **tolerance):
-    """The forces are those of the filter that the method says it is."""
-    linear = one.linear()
-    matrix, s, expected = linear.matrix(), np.zeros(len(linear.a)), []
-    for k, y in enumerate(states):
-        window = motion[k : k + 1 + linear.preview]
-        force, s = np.split(matrix @ np.concatenate([s, y.ravel(), window.ravel()]), [y.shape[1]])
-        expected.append(force)
-    np.testing.assert_allclose(run(one, motion, states), expected, **tolerance)
-
-
 def assert_axes_are_apart(method, **common):
     """Axes that are not coupled are tests of their own."""
     masses, stiffness = [52.7, 20.0, 300.0], [2.11e5, 9e4, 3e6]

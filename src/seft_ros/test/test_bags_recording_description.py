@@ -76,20 +76,15 @@ def test_without_git_there_is_no_revision(tmp_path, monkeypatch):
     recording.git_state.cache_clear()
 
 
-def test_description_is_read_back():
+def test_description_is_read_back_with_what_a_node_says_beside_its_parameters():
     sections = {"rig": NODE, "recorder": {"rate": 500.0, "axes": ["x"], "directory": "bags"}}
-    texts = recording.write_description(sections, {"mode": "simulate"})
+    facts = {"rig": {"motion": {"unit": "g"}, "steps": 3}}
+    texts = recording.write_description(sections, {"mode": "simulate"}, facts)
     assert len(texts) == 3
     description, refused = recording.read_description(texts)
-    assert description == recording.Description(sections, {"mode": "simulate"})
+    assert description == recording.Description(sections, {"mode": "simulate"}, facts)
     assert refused == 0
     assert description.experiment().axes == ("x",)
-
-
-def test_what_a_node_says_beside_its_parameters_is_read_back():
-    facts = {"ground_motion": {"motion": {"unit": "g"}, "steps": 3}}
-    texts = recording.write_description({"ground_motion": NODE, "rig": NODE}, {}, facts)
-    assert recording.read_description(texts)[0].facts == facts
 
 
 def test_of_a_node_that_describes_itself_twice_the_last_counts():

@@ -19,6 +19,7 @@ from seft_ros.design.plausibility import (
     highest_limits,
     peaks_by_axis,
     range_refusal,
+    unit_refusal,
 )
 from seft_ros.design.preflight_tables import (
     expected_peaks,
@@ -39,6 +40,10 @@ STROKE = "rig:simulated.actuator.stroke:={}"
 CAPACITY = "rig:simulated.actuator.force_capacity:={}"
 
 
+def peaks_of(experiment):
+    return peaks_by_axis(experiment, planned_motion(experiment))
+
+
 def obstacles(*overrides, config="demo", nodes=None):
     """Say what of a test is beyond what is allowed."""
     experiment = load(*overrides, config=config, nodes=nodes)
@@ -47,8 +52,11 @@ def obstacles(*overrides, config="demo", nodes=None):
 
 
 @pytest.mark.parametrize("config", CONFIGS)
-def test_the_configurations_are_within_what_their_rigs_can_do(config):
-    assert obstacles(config=config) == []
+def test_the_configurations_are_plausible_and_within_what_their_rigs_can_do(config):
+    experiment = load(config=config)
+    motion, peaks = planned_motion(experiment), peaks_of(experiment)
+    assert unit_refusal(experiment, motion, peaks) == range_refusal(experiment, peaks) == ""
+    assert excesses(experiment, expected_response(experiment, motion)) == []
 
 
 @pytest.mark.parametrize(
@@ -161,15 +169,11 @@ def test_a_range_that_is_not_known_is_not_checked():
     assert range_refusal(unknown, {**peaks_of(unknown), "force": np.array([1.0])}) == ""
 
 
-def peaks_of(experiment):
-    return peaks_by_axis(experiment, planned_motion(experiment))
-
-
 # ---- Limits that fit a test: expected peaks, what is proposed, and what is far beyond
 
 
 def largest_of(experiment):
-    return expected_peaks(peaks_by_axis(experiment, planned_motion(experiment)))
+    return expected_peaks(peaks_of(experiment))
 
 
 def test_a_test_stays_within_limits_that_fit_it(tmp_path):

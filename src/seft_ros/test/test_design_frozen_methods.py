@@ -5,7 +5,6 @@ from functools import cache, partial
 import numpy as np
 import pytest
 from experiments_at_hand import of_parts
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.valve_following import LARGEST_GAIN_ERROR
 from seft_plant_sim.rig import Rig
@@ -19,6 +18,7 @@ from seft_ros.reference_force.reference_force_block import method_inputs
 from seft_ros.reference_force.target_motion import TargetMotion
 from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
+from test_design_closed_loop import elsewhere, loop_displacements
 
 K = 2.11e5
 QUIET = {f"simulated.sensors.{name}_noise": 0.0 for name in CHANNELS} | {
@@ -183,7 +183,7 @@ def test_the_verdict_and_its_numbers():
 
 def test_a_rig_that_is_not_simulated_is_what_is_known_of_it():
     test = experiment()
-    known = Experiment({node: part for node, part in test.sections.items() if node != "rig"})
+    known = elsewhere(test)
     for changes in ({}, {"stiffness": 0.5}, {"dead_time": 0.01, "any_valve": True}):
         exact = PlannedTest(test).growth_rate(**changes)
         assert PlannedTest(known).growth_rate(**changes) == pytest.approx(exact, rel=1e-6)
@@ -201,11 +201,7 @@ def test_with_a_delay_of_the_loop_the_matrix_is_what_the_offline_loop_does(delay
     recording = simulate_test(test, blocks)
     assert recording.trip is None
     found = recording.series["rig/state"].values[:1500, 0]
-    ground = np.asarray(blocks.ground_motion.known)
-    q, expected = np.zeros(len(loop.matrix)), []
-    for k in range(1500):
-        expected.append(loop.displacement @ q)
-        q = loop.matrix @ q + loop.ground @ ground[k:].ravel()[: loop.ground.shape[1]]
+    expected = loop_displacements(loop, np.asarray(blocks.ground_motion.known), 1500)
     largest = np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * largest)
 

@@ -8,7 +8,6 @@ from bare_rig import BareRig
 from experiments_at_hand import load
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seft_msgs_py.config.experiment import Experiment
 from seft_msgs_py.config.facts import FACTS
 from seft_msgs_py.errors import InputError
 from seft_plant_sim import lti
@@ -21,6 +20,7 @@ from seft_ros.design.plant import (
     rig_model,
     roots_of,
 )
+from test_design_closed_loop import elsewhere
 
 MASS, STIFFNESS = 52.7, 2.11e5
 
@@ -98,8 +98,7 @@ def test_a_rig_elsewhere_is_what_is_known_of_it():
     """Not what the simulated one truly is."""
     test = experiment(actuator__dead_time=0.004)
     pinned = test.changed({"rig": {"simulated.actuator.dead_time": 0.001}})
-    known = Experiment({node: own for node, own in pinned.sections.items() if node != "rig"})
-    found = [plant_of(each) for each in (pinned, known)]
+    found = [plant_of(each) for each in (pinned, elsewhere(pinned))]
     assert [plant.source for plant in found] == ["rig", "identified"]
     assert [plant.delay for plant in found] == [0.001, 0.004]
 

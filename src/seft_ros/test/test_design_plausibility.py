@@ -6,9 +6,6 @@ from experiments_at_hand import load
 from seft_ros.design.plausibility import peaks_by_axis, range_refusal, unit_refusal
 from seft_ros.design.preflight_tables import expected_peaks, planned_motion, proposed_limits
 
-CONFIGS = (
-    *("demo", "jhu", "three_storey_frame", "six_storey_frame", "two_pier_bridge", "water_tower"),
-)
 AS_RECORDED = "ground_motion:peak_force:=0.0"
 
 
@@ -22,11 +19,6 @@ def refused(experiment):
     motion = planned_motion(experiment)
     peaks = peaks_by_axis(experiment, motion)
     return unit_refusal(experiment, motion, peaks), range_refusal(experiment, peaks)
-
-
-@pytest.mark.parametrize("config", CONFIGS)
-def test_the_configurations_pass(config):
-    assert refused(load(config=config)) == ("", "")
 
 
 @pytest.mark.parametrize("config", ["demo", "jhu"])

@@ -20,7 +20,7 @@ from interlocks_at_hand import (
 from seft_msgs_py.config.facts import CHANNELS
 from seft_plant_sim.judge.judge_step import LONG_AGO
 from seft_ros.force_controller.force_control import ForceController
-from seft_ros.force_controller.interlock import Interlock, Interlocks, interlock_of
+from seft_ros.force_controller.interlock import Interlock, interlock_of
 from seft_ros.protection.protected_force import extrapolated
 
 
@@ -126,13 +126,6 @@ def test_a_rig_that_obeys_forces_has_no_valve_to_stay_at_its_limit():
     assert guarded.state.tracking.limited_at == LONG_AGO  # tracking is watched on
 
 
-def test_the_first_reason_counts():
-    guarded = interlock()
-    guarded.trip(3, "first")
-    guarded.trip(4, "second")
-    assert (guarded.reason, guarded.step_index) == ("first", 3)
-
-
 def test_a_suspect_sample_is_replaced_by_what_was_planned_before_it():
     for count in (4, 2, 1):
         controller = Scripted(count)
@@ -193,26 +186,11 @@ def test_a_trip_closes_the_valve_from_the_last_fault_free_command_and_its_cause_
     np.testing.assert_array_equal(stepped(guarded, 0, force(math.nan, 0.0), state()), [0.0, 0.0])
 
 
-def off_target(controller, **words):
-    """An interlock after steps at rest, 5 mm away from its target."""
-    guarded, points = watched(controller, **words), np.zeros((1, 3, 2))
-    for step in range(50):
-        measured = sample_of(0)
-        measured[0] = 5e-3
-        stepped(guarded, step, points, measured)
-    return guarded
-
-
-def test_tracking_that_only_warns_does_not_trip():
-    controller = Scripted(1)
-    guarded = off_target(controller, acts=False)
-    assert (guarded.reason, len(controller.seen)) == ("", 50)
-    assert guarded.off_target > 1.0
-    assert off_target(controller).step_index == 9
-
-
 def test_a_controller_of_forces_has_no_target_to_be_away_from():
-    guarded = off_target(Scripted(1, 1))
+    guarded, measured = watched(Scripted(1, 1)), sample_of(0)
+    measured[0] = 5e-3  # from the target of the others
+    for step in range(50):
+        stepped(guarded, step, np.zeros((1, 3, 2)), measured)
     assert (guarded.reason, guarded.off_target) == ("", 0.0)
 
 
@@ -254,16 +232,11 @@ def test_a_controller_gets_as_many_points_as_it_asks_for(axes):
         np.testing.assert_array_equal(sample, measured)
 
 
-def section_of(*words):
-    """The force controller's section of a test with two rigs, its axes, and the test."""
-    experiment = load(*words, config="two_pier_bridge")
-    return experiment["force_controller"], experiment.axes, experiment
-
-
 def test_an_interlock_is_made_of_its_section():
     words = ("/**:limits.force:=900.0", "rig:safe.close_time:=0.03")
     words += ("force_controller:watchdog.saturation_time:=0.1",)
-    section, axes, experiment = section_of(*words)
+    experiment = of_rigs(*words)
+    section, axes = experiment["force_controller"], experiment.axes
     for rig in (None, *experiment.rigs):
         made = Interlock.from_parameters(section, axes, experiment.timebase, rig)
         assert (made.parameters.limits[3], made.parameters.window) == (900.0, 500)
@@ -313,8 +286,3 @@ def test_the_first_rig_that_trips_gives_the_reason_and_a_reset_is_for_all():
     points[0, 2] = 0.0
     both.step(0, points, rest)
     assert both.reason == ""
-
-
-def test_one_rig_needs_one_interlock():
-    assert isinstance(interlock_of(load(config="demo")), Interlock)
-    assert isinstance(interlock_of(of_rigs()), Interlocks)

@@ -25,21 +25,15 @@ def test_a_delay_of_the_loop_costs_a_target_no_accuracy(alpha):
     assert max(errors) < 1.1 * errors[0]
 
 
-def test_the_delay_may_be_unknown_to_who_only_measures_it():
-    with pytest.raises(InputError, match=r"seft link.*loop_delay:=STEPS"):
-        build_blocks(experiment_of("/**:loop_delay:=-1"))
-
-
-def test_the_ground_motion_must_be_known_as_far_ahead_as_the_target_is_known():
-    with pytest.raises(InputError, match="make the lead longer"):
-        build_blocks(experiment_of("/**:loop_delay:=50", "ground_motion:lead:=0.1"))
-
-
-def test_a_controller_that_follows_a_target_needs_one():
-    with pytest.raises(InputError, match=r"compensation\.method is none; make that target_motion"):
-        build_blocks(experiment_of("reference_force:compensation.method:=none"))
-
-
-def test_a_target_needs_a_controller_that_follows_it():
-    with pytest.raises(InputError, match="does not follow; make that velocity_feedforward"):
-        build_blocks(experiment_of("force_controller:method:=transfer_function"))
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (["/**:loop_delay:=-1"], r"seft link.*loop_delay:=STEPS"),  # who measures it needs none
+        (["/**:loop_delay:=50", "ground_motion:lead:=0.1"], "make the lead longer"),
+        (["reference_force:compensation.method:=none"], r"method is none; make that target_motion"),
+        (["force_controller:method:=transfer_function"], "follow; make that velocity_feedforward"),
+    ],
+)
+def test_what_does_not_fit_a_delay_or_a_target_is_refused(words, remedy):
+    with pytest.raises(InputError, match=remedy):
+        build_blocks(experiment_of(*words))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bare_rig import transfer
 from experiments_at_hand import load, simulated
 from seft_msgs_py.errors import InputError
 from seft_msgs_py.wire.topics import RigAxes
@@ -9,6 +10,7 @@ from seft_plant_sim.hardware.hosted import HostedHardware
 from seft_plant_sim.judge.known_rig import known_responses
 from seft_plant_sim.judge.servo_model import second_difference, servo_models
 from seft_plant_sim.lti import TransferFunction
+from seft_plant_sim.simulated.rig import continuous_model
 from seft_plant_sim.whole_structure import reference_response
 from seft_ros.design.plant import Plant, rig_model
 from seft_ros.force_controller.position_servo import InvertedServo, PositionServo
@@ -239,21 +241,11 @@ def test_identify_finds_the_response(words, tmp_path):
     facts = facts_of(found, False, dt, 0.0, False)
     f = np.geomspace(0.5, 20.0, 30)
     (response,) = known_responses(facts, ("x",), (0,))
-    true = small_signal(experiment, f)
+    model = continuous_model(experiment["rig"], experiment.axes)  # of small signals
+    true = np.array([transfer(model, hz)[0, 0] for hz in f]) * np.exp(-2j * np.pi * f * model.delay)
     assert np.abs(response.response(f) - true).max() < 0.01
     assert found.specimen.mass == pytest.approx(52.7, rel=0.05)
     assert found.specimen.stiffness == pytest.approx(2.11e5, rel=0.05)
-
-
-def small_signal(experiment, f):
-    """Response of the simulated rig from command to displacement."""
-    from seft_plant_sim.simulated.rig import continuous_model
-
-    model = continuous_model(experiment["rig"], experiment.axes)
-    s = 2j * np.pi * f
-    one = np.eye(len(model.a))
-    found = [model.c[0] @ np.linalg.solve(each * one - model.a, model.b[:, 0]) for each in s]
-    return np.array(found) * np.exp(-s * model.delay[0])
 
 
 def test_the_first_command_of_each_test_is_where_a_hosted_servo_stands():
