@@ -7,6 +7,7 @@ import pytest
 from graph_tools import MISSES_ALLOWED
 from local_tools import LOCKSTEP, LONG, NODES, TARGET_MOTION, UNREHEARSED, at_rest, begin, perform
 from seft_msgs_py.wire.topics import REFERENCE_FORCE, RIG_STATE, VALVE_COMMAND
+from seft_plant_sim.command import stop_period
 from seft_ros.test_run.blocks import build_blocks
 
 
@@ -23,7 +24,8 @@ def test_a_rig_follows_the_plan_to_rest_also_when_its_sender_is_dead(local_graph
     last = len(graph.samples(RIG_STATE)[0]) - 1
     blocks = build_blocks(graph.experiment)
     rig, force, interlock = blocks.rig, blocks.reference_force, blocks.force_controller
-    known, window, every = blocks.ground_motion.known, 1 + force.preview, 5
+    known, window = blocks.ground_motion.known, 1 + force.preview
+    every = stop_period(graph.experiment.timebase.dt)
     state = rig.reset()
     for step in range(last + 1):
         interlock.look(step, state)

@@ -154,14 +154,16 @@ def _one_at_a_time(function: Any, signature: Any) -> Iterator[None]:
         yield
 
 
-_OF_TYPE = 0x1 | 0x2 | 0x100 | 0x400
-"""Numpy's flags of an array of contiguous rows, contiguous columns, aligned, writeable."""
+_ROWS, _COLUMNS, _OTHER = 0x1, 0x2, 0x100 | 0x400
+"""Numpy's flags of contiguous rows, contiguous columns; aligned and writeable."""
 
 
 def kind_of(argument: Any) -> Any:
     """Give what numba's type of an argument depends on."""
     if isinstance(argument, np.ndarray):
-        return argument.dtype.char, argument.ndim, argument.flags.num & _OF_TYPE
+        flags = argument.flags.num
+        layout = flags & _ROWS or flags & _COLUMNS
+        return argument.dtype.char, argument.ndim, layout | flags & _OTHER
     if isinstance(argument, tuple):
         return type(argument), *map(kind_of, argument)
     return type(argument)

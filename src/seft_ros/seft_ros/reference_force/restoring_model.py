@@ -484,7 +484,7 @@ def follow_specimen(
         lacks = abs(innovation) if yields else 0.0
         by_law = follow_law(parameters, state, j, moved, measured[j], lacks, remembered, moves)
         of_past *= 1.0 / variance
-        learn(parameters, state, j, innovation, variance, moves, remembered, of_past)
+        update_filter(parameters, state, j, innovation, variance, moves, remembered, of_past)
         foretells = state.corner.slider[j].stage == FORETELLS
         assumed, found = state.corner.law[j] if foretells else parameters.start[j], state.found[j]
         weight = 1.0 / (1.0 + math.exp(-sums.evidence))
@@ -545,7 +545,7 @@ def weigh_models(
 
 
 @compiled
-def learn(
+def update_filter(
     parameters: ModelParameters,
     state: RestoringState,
     j: int,

@@ -50,7 +50,7 @@ _P, _K, _C, _W, _FORCE, _ERROR, _END_ERROR = range(7)
 HOLDS = 1e3
 """Threshold of a stop operator that does not slip, m."""
 _BEGUN, FORETELLS = 1.0, 2.0
-SLIDER = np.dtype(
+CORNER_STATE = np.dtype(
     [
         ("stage", "f8"),  # of the law: 0 before it begins, `_BEGUN` or `FORETELLS`
         ("sense", "f8"),  # d
@@ -107,7 +107,7 @@ class CornerState(NamedTuple):
     law: Annotated[Floats, "n", "q"]  # parameters, in the places of the model's
     covariance: Annotated[Floats, "n", 8, 8]  # of the unknowns, and a zero
     past: Annotated[Floats, "n", 8]  # their covariance with the past impulse, over a period
-    slider: Annotated[Record, SLIDER, "n"]
+    slider: Annotated[Record, CORNER_STATE, "n"]
     work: Annotated[Floats, 4, 8]
 
 
