@@ -224,7 +224,6 @@ def filter_of(frequency: Any, damping: Any) -> tuple[Floats, Floats]:
 def common_filter(section: Mapping[str, Any]) -> tuple[float, float]:
     """Filter of the aligned channels, see `filter_of`, of a section: the slowest of all."""
     names = [f"calibration.{channel}_filter" for channel in CHANNELS]
-    names = [name for name in names if np.any(section[name])] or names[:1]
     each = [filter_of(np.ravel(section[n]), np.ravel(section[f"{n}_damping"])) for n in names]
     every = [one for p, q in each for one in zip(*np.broadcast_arrays(p, q), strict=True)]
     p, q = max(every, key=lambda one: one[1])
