@@ -23,6 +23,7 @@ from seft_plant_sim.judge import detectors
 from seft_plant_sim.judge import relation_following as following
 from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorState, first_of, sees
 from seft_plant_sim.judge.judge_step import is_replaced
+from seft_plant_sim.judge.known_rig import CAPACITY, FLOW_GAIN, LEAKAGE, OIL_STIFFNESS
 from seft_plant_sim.judge.relation_following import BIAS_OF, CHANGE, INTEGRAL, NOISE_SIGMAS, PERIODS
 from seft_plant_sim.judge.valve_following import under_load
 
@@ -42,7 +43,7 @@ def find_flow(p: DetectorParameters, state: DetectorState, lost: int, drive: Flo
         put_first(state.sent[i], drive[i])
         for k in range(2):
             flow = dot(state.sent.shape[1], p.rig.past[i, k], state.sent[i])
-            state.flow[k, i] = p.rig.actuator[i, 0] * flow
+            state.flow[k, i] = p.rig.actuator[i, FLOW_GAIN] * flow
 
 
 def begin_relations(p: DetectorParameters, state: DetectorState) -> None:
@@ -149,11 +150,11 @@ def velocity_acceleration(
 @compiled
 def oil_balance(p: DetectorParameters, state: DetectorState, measured: Floats, i: int) -> int:
     """Relation (3)."""
-    last, oil = state.last, p.rig.actuator[i, 1]
+    last, oil = state.last, p.rig.actuator[i, OIL_STIFFNESS]
     force = 0.5 * (measured[3, i] + last[3, i])
-    load = p.rig.dt * under_load(state.flow[0, i], force, p.rig.actuator[i, 3])
+    load = p.rig.dt * under_load(state.flow[0, i], force, p.rig.actuator[i, CAPACITY])
     flow, later = load * state.flow[0, i], load * state.flow[1, i]
-    leaked = p.rig.dt * p.rig.actuator[i, 2] * force
+    leaked = p.rig.dt * p.rig.actuator[i, LEAKAGE] * force
     change = measured[0, i] - last[0, i] + (measured[3, i] - last[3, i] + leaked) / oil
     rough = resolution_of(state, FORCE, i) / oil + resolution_of(state, DISPLACEMENT, i)
     return compare_channels(p, state, OIL, i, (change, flow, later), rough)

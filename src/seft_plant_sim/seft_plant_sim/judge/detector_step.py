@@ -18,6 +18,7 @@ from seft_plant_sim.judge.detectors import OIL, DetectorParameters, DetectorStat
 from seft_plant_sim.judge.hypotheses import FORCES
 from seft_plant_sim.judge.judge import ANY_ROW, MOST, SEVERAL_ROW, JudgeState
 from seft_plant_sim.judge.judge_step import LONG_AGO, SURE, ask, begin_judge, is_replaced, judge
+from seft_plant_sim.judge.known_rig import CAPACITY, FLOW_GAIN
 from seft_plant_sim.judge.relation_following import expected, uncertain
 from seft_plant_sim.judge.valve_following import under_load
 
@@ -79,10 +80,12 @@ def judge_sample(
         if not p.rig.has_valve:
             ask(p.judge.axes[i], state.judge.axes[i], drive[i])
         flow = state.flow[0, i]
-        load = under_load(flow, state.last[3, i], p.rig.actuator[i, 3])
+        load = under_load(flow, state.last[3, i], p.rig.actuator[i, CAPACITY])
         mean, later = load * flow, load * state.flow[1, i]
         # a valve that is open opens no further; where the limit of its command lies below, it does
-        beyond = 0.5 * load * max(abs(flow) - p.rig.actuator[i, 0] * p.rig.largest_drive, 0.0)
+        beyond = (
+            0.5 * load * max(abs(flow) - p.rig.actuator[i, FLOW_GAIN] * p.rig.largest_drive, 0.0)
+        )
         state.mean[1, i] = uncertain(state.covariance[OIL, i], mean, later, 1.0) + beyond * beyond
         mean -= math.copysign(beyond, mean)
         state.mean[0, i] = expected(state.estimated[OIL], i, mean, later, 1.0)

@@ -16,6 +16,7 @@ from seft_plant_sim.compiled import compiled
 from seft_plant_sim.judge import known_rig, valve_following
 from seft_plant_sim.judge.detector_list import ALL, DETECTORS, TRACKING, Detector
 from seft_plant_sim.judge.judge import BIAS, JudgeParameters, JudgeState, judge_arrays
+from seft_plant_sim.judge.known_rig import CAPACITY, FLOW_GAIN, LEAKAGE, OIL_STIFFNESS
 from seft_plant_sim.judge.relation_following import ESTIMATE_DRIFT, NOISE_SIGMAS
 from seft_plant_sim.judge.servo_model import last_periods
 from seft_plant_sim.judge.valve_model import valve_models
@@ -154,22 +155,22 @@ def detector_arrays(
     actuator, ranges = known.actuator.copy(), np.where(known.ranges > 0.0, known.ranges, np.inf)
     if known.imposes:
         actuator[:] = 1.0, np.inf, 0.0, np.inf
-    is_known = has_valve & (actuator[:, 0] > 0.0) & (actuator[:, 1] > 0.0)
-    actuator[~is_known, 1] = 1.0
-    actuator[actuator[:, 3] <= 0.0, 3] = np.inf
-    oil = np.where(is_known, f / actuator[:, 1], np.inf)
+    is_known = has_valve & (actuator[:, FLOW_GAIN] > 0.0) & (actuator[:, OIL_STIFFNESS] > 0.0)
+    actuator[~is_known, OIL_STIFFNESS] = 1.0
+    actuator[actuator[:, CAPACITY] <= 0.0, CAPACITY] = np.inf
+    oil = np.where(is_known, f / actuator[:, OIL_STIFFNESS], np.inf)
     sums = np.array([noise_of_sums(x, dt * v, dt), noise_of_sums(v, dt * a, dt)])
     of_oil = np.hypot(x, oil) * math.sqrt(2.0 / (1.0 + oil_fade))
     late = valve_following.UNCERTAIN_DELAY if velocity_is_derived else 0.0
     has_oil = is_known & (not known.imposes)
-    null = np.where(has_oil, NULL * actuator[:, 0] * known.largest_drive, 0.0)
+    null = np.where(has_oil, NULL * actuator[:, FLOW_GAIN] * known.largest_drive, 0.0)
     deviation, most = _uncertain_relations(v, a, null, late)
     unknown = 0.0 if mass.any() and known.stiffness.any() else math.inf
     by_force = np.zeros_like(mass) if has_valve or not mass.any() else np.linalg.inv(mass)
     judging, judged = judge_arrays(
         assumed,
         _at_rest(assumed, limits, zeroed),
-        np.transpose([np.where(has_oil, actuator[:, 1], 0.0), actuator[:, 2]]),
+        np.transpose([np.where(has_oil, actuator[:, OIL_STIFFNESS], 0.0), actuator[:, LEAKAGE]]),
         mass,
         known.stiffness,
         ranges,

@@ -14,6 +14,7 @@ from seft_plant_sim.lti import TransferFunction
 from seft_plant_sim.rig_parameters import common_lag
 
 ASSUMED_ACTUATOR = ("flow_gain", "oil_stiffness", "leakage", "force_capacity")
+FLOW_GAIN, OIL_STIFFNESS, LEAKAGE, CAPACITY = range(len(ASSUMED_ACTUATOR))
 """Columns of an array of actuators."""
 _FIND_IT = "find it with seft identify CONFIG, and give its model.yaml with --params-file"
 _BESIDE = ("friction", "friction_velocity", "valve_frequency", "valve_damping", "dead_time")

@@ -21,8 +21,8 @@ import numpy as np
 from seft_msgs_py.arrays import Floats, zeros
 from seft_msgs_py.config.parameter_table import Section
 from seft_plant_sim.compiled import bounded, compiled, dot, put_first, smooth_sign
-from seft_plant_sim.judge import valve_following
-from seft_plant_sim.judge.known_rig import ASSUMED_ACTUATOR, known_actuators, read_specimen
+from seft_plant_sim.judge import known_rig, valve_following
+from seft_plant_sim.judge.known_rig import CAPACITY, FLOW_GAIN, LEAKAGE, OIL_STIFFNESS
 from seft_plant_sim.judge.valve_following import VALVE_ERRORS, follow_valve, under_load
 from seft_plant_sim.judge.valve_model import valve_models
 
@@ -137,7 +137,7 @@ def feedforward_step(
         drive = 0.0
         for k in range(n):
             drive += _flow_by(p, state, points, measured[3, k], i, k)
-        drive /= p.actuator[i, 0] * (1.0 + state.errors[i, GAIN_ERROR])
+        drive /= p.actuator[i, FLOW_GAIN] * (1.0 + state.errors[i, GAIN_ERROR])
         limited |= abs(drive) >= p.limit
         command[i] = bounded(drive, p.limit)
     for i in range(n):
@@ -151,8 +151,9 @@ def feedforward_step(
 def _plan(p: FeedforwardParameters, state: FeedforwardState, i: int, points: Floats) -> None:
     """Find the flow of a valve for a planned motion, as an opening without load: Eq. (4)."""
     flow, coming, taps = state.flow, state.coming[i], state.coming.shape[1]
-    leaked, capacity, per_period = p.dt * p.actuator[i, 2], p.actuator[i, 3], 1.0 / p.dt
-    compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, 1]
+    leaked, capacity = p.dt * p.actuator[i, LEAKAGE], p.actuator[i, CAPACITY]
+    per_period = 1.0 / p.dt
+    compliance = (1.0 + state.errors[i, OIL_ERROR]) / p.actuator[i, OIL_STIFFNESS]
     then = points[0, 2, i] + _rubs(p, i, points[0, 1, i])
     for j in range(taps + 1):
         moved = points[j + 1, 0, i] - points[j, 0, i]
@@ -183,24 +184,25 @@ def _flow_by(
     flow += feedback[1, k] * (points[0, 1, k] - state.measured[1, k])
     wanted = planned_acceleration(points, k, p.dt)
     flow += feedback[2, k] * (wanted - state.measured[2, k])
-    flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, 1]
+    flow += feedback[3, k] * (points[0, 2, k] - force) / p.actuator[k, OIL_STIFFNESS]
     flow += dot(state.coming.shape[1], planned[known:], state.coming[k])
     flow += dot(known, planned, state.flows[k])
-    gain = p.actuator[k, 0] * (1.0 + state.errors[k, GAIN_ERROR])
+    gain = p.actuator[k, FLOW_GAIN] * (1.0 + state.errors[k, GAIN_ERROR])
     return flow - gain * dot(state.sent.shape[1], p.sent[i, k], state.sent[k])
 
 
 @compiled
 def _follow(p: FeedforwardParameters, state: FeedforwardState, i: int, force: float) -> None:
     """Estimate the errors of a valve and its oil from the last period, see `valve_following`."""
-    gain, oil, leakage = p.actuator[i, 0], p.actuator[i, 1], p.actuator[i, 2]
-    signals, last, x = state.signals[i], state.last[i], state.measured[0, i]
+    actuator, last, x = p.actuator[i], state.last[i], state.measured[0, i]
+    gain, oil, leakage = actuator[FLOW_GAIN], actuator[OIL_STIFFNESS], actuator[LEAKAGE]
+    signals = state.signals[i]
     force += _rubs(p, i, state.measured[1, i])
     if state.steps[0] >= state.sent.shape[1]:  # all commands under way are known
         flow = dot(state.sent.shape[1], p.past[i, 0], state.sent[i])
         later = dot(state.sent.shape[1], p.past[i, 1], state.sent[i])
         mean, smoothing, per_period = 0.5 * (force + last[1]), p.smoothing[i], 1.0 / p.dt
-        passed = gain * under_load(flow, mean, p.actuator[i, 3])
+        passed = gain * under_load(flow, mean, actuator[CAPACITY])
         squeezed = ((force - last[1]) * per_period + leakage * mean) / oil
         signals[0] += smoothing * (passed * flow - signals[0])
         signals[1] += smoothing * (passed * later - signals[1])
@@ -259,15 +261,15 @@ class VelocityFeedforward(TargetFollower):
     def _known(
         self, section: Section, axes: tuple[str, ...], own: list[int], dt: float
     ) -> tuple[FeedforwardParameters, FeedforwardState, int, int]:
-        known = known_actuators(section, axes, own)
-        actuator = np.transpose([known[name] for name in ASSUMED_ACTUATOR])
+        known = known_rig.known_actuators(section, axes, own)
+        actuator = np.transpose([known[name] for name in known_rig.ASSUMED_ACTUATOR])
         noise = sensor_noise(section, axes)[:, own]
         valves = valve_models(known, dt)
         n, needed = len(valves), max(valve.taps() for valve in valves)
         horizon = force_control.horizon_of(section, dt, needed + 1, "valves")
         memory, past = valves[0].memory, max(valve.past() for valve in valves)
         inverse = np.array([valve.inverse(needed, past) for valve in valves])
-        specimen = read_specimen(section, axes, own)
+        specimen = known_rig.read_specimen(section, axes, own)
         feedback, sent = regulator(valves, actuator[:, 1:3], *specimen, memory, dt)
         # of planned flows: the inverse, and the feedback of the commands that it makes of them
         planned = np.zeros((n, n, memory + past + needed))
@@ -288,7 +290,7 @@ class VelocityFeedforward(TargetFollower):
             sent=sent,
             planned=planned,
             past=np.array([valve.last_period() for valve in valves]),
-            doubt=valve_following.doubt(left[1], noise[3], actuator[:, 1], delay, dt),
+            doubt=valve_following.doubt(left[1], noise[3], actuator[:, OIL_STIFFNESS], delay, dt),
             smoothing=1.0 - np.exp(-dt / delay),
         )
         sizes = {"n": n, "memory": memory, "known": known_flows}
