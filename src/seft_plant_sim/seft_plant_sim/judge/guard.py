@@ -239,7 +239,7 @@ class Guard:
             since = max(since, 1 + int(self.state.detectors.repeats.max()))
         elif len(odd) < since:
             since = max(since, round(FOUND_IN / self._dt))
-        return last - since - max(1, int(LASTS / self._dt))  # one may have been accepted before
+        return last - since - max(2, round(LASTS / self._dt))  # one may have been accepted before
 
     def violation(self, found: int) -> str | None:
         """Say why the test must end with the last sample; ``found`` is the result of its step."""
