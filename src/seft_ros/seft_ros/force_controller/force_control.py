@@ -376,14 +376,8 @@ class TargetFollower:
 
     Parameters
     ----------
-    section : dict
-        Of the force controller, for all axes.
-    axes : tuple of str
-        Names of all axes.
-    timebase : Timebase
-        Sampling clock.
-    rig : RigAxes, optional
-        With several rigs, the one that it controls; default all axes.
+    section, axes, timebase, rig
+        See `seft_ros.force_controller.methods.force_control`.
 
     Raises
     ------
