@@ -76,7 +76,8 @@ def acceleration_is_derived(section: Mapping[str, Any]) -> bool:
 
 
 MIN_NOISE = np.array([1e-6, 1e-4, 5e-3, 0.3])
-"""Least assumed noise of the sensors, SI: without it filters would follow what is not modelled."""
+"""Least assumed noise of the sensors: displacement (m), velocity, acceleration, force (N). Without
+noise the filters would follow everything that is not modelled."""
 
 
 def least_noise(section: Mapping[str, Any], axes: Sequence[str]) -> Floats:

@@ -17,7 +17,8 @@ Polynomial = Floats | Sequence[float]
 MIN_SAMPLES = 4.0
 """Samples in a cycle of the highest frequency that is inverted."""
 OUTSIDE_WEIGHT, GAIN_WEIGHT = 0.02, 1e-4
-"""Weights of errors above it, and of the inverse's size: a small drive, no bend below."""
+"""Weights in least squares: of errors above that frequency, and of the inverse's own size. They
+make a small drive, and no bend below."""
 
 
 @dataclass(frozen=True)

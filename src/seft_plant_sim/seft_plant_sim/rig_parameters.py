@@ -16,8 +16,11 @@ from seft_plant_sim.hardware.udp import UDP_ROWS
 
 _OWN = ("linear", "bilinear", "bouc_wen", "pinching", "flag", "friction", "gap", "duffing")
 RESTORING_FORCES = Registered("seft.restoring_force", _OWN)
-"""Laws of other packages: kind -> class or function for a `springs.HystereticSpring`, of elastic
-stiffness in N/m, yield displacement in m, hardening ratio, and perhaps settings."""
+"""Laws of other packages: kind -> class or function for a `springs.HystereticSpring`.
+
+It receives elastic stiffness in N/m, yield displacement in m, and hardening ratio, and may take
+settings.
+"""
 
 LIMIT_ROWS = (*CHANNELS, *(f"{name}_rate" for name in CHANNELS))
 LIMIT_UNITS = tuple(FACTS[f"limits.{name}"].unit for name in LIMIT_ROWS)

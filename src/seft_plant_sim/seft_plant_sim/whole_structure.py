@@ -29,7 +29,8 @@ _COARSEST = 4
 _FINEST = 1 << 14
 """Steps of the integration within one of the response."""
 MODEL_TOLERANCE = 5e-3
-"""With a computed model, whose steps may take long: extrapolation leaves a twentieth of it."""
+"""The same for a structure with a computed model, whose steps may take long: the error is of second
+order in the step, so that extrapolation of two responses reduces it to a twentieth."""
 COARSEST_MODEL, FINEST_MODEL = 1, 64
 """Its steps."""
 

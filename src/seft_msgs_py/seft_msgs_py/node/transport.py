@@ -72,7 +72,8 @@ class AwakeClock:
 Level = Literal["info", "warning", "error"]
 Send = Callable[[bytes], None]
 Take = Callable[[], tuple[bytes, int, bytes] | None]
-"""Takes a message: its bytes, wall-clock time of arrival in ns, publisher's identifier; or None."""
+"""Takes the oldest message: its bytes, the wall-clock time in ns of its arrival, and the identifier
+of its publisher; None if there is none."""
 Answer = Callable[[], tuple[bool, str]]
 """Acts on a request; returns whether it was accepted, and a text."""
 

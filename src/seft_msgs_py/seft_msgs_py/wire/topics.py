@@ -106,7 +106,8 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 NODES = ("ground_motion", "reference_force", "force_controller", "rig", "supervisor", "recorder")
 LOOP_NODES = ("rig", "reference_force", "force_controller")
-"""Nodes of a step, in their order. The rig is the clock, and in one process spins for all."""
+"""Nodes that work one after the other within a step. The rig comes first: it is the clock, and in
+one process spins for all."""
 
 QUANTITIES = ("positions", "velocities", "accelerations", "effort")
 """Arrays of a JointTrajectoryPoint, in the order of the wire."""
@@ -301,7 +302,8 @@ MEASURED = replace(
     finite=False,  # a sensor may fail
     every_point=True,
 )
-"""Samples as measured, calibrated and aligned, for the recorder: `MEASURED_STEPS` a message."""
+"""Samples as measured, calibrated and aligned, for the recorder alone: `MEASURED_STEPS` in one
+message, or fewer at the end of a test."""
 MEASURED_STEPS = 16
 REFERENCE_FORCE = LoopTopic(
     "reference_force",

@@ -8,7 +8,8 @@ import numpy.typing as npt
 import zstandard
 
 MAX_SIZE = 1 << 28
-"""Bytes of the largest record that is read, for memory; recorders write chunks of 1 to 4 MiB."""
+"""Bytes of the largest record that is read; recorders write chunks of 1 to 4 MiB. What declares
+more could take all memory of the machine."""
 
 _Bytes = npt.NDArray[np.uint8]
 Integers = npt.NDArray[np.int64]

@@ -25,8 +25,9 @@ FACTORS = {"displacement": 1.5, "velocity": 2.0, "acceleration": 2.0, "force": 1
 """Proposed limit over the expected peak: oil that rings moves the piston little, but fast. As much
 beyond its limit, a peak is none that an estimate of the specimen explains."""
 SMALLEST_SHARE, LARGEST_SHARE = 0.02, 0.9
-"""Of a sensor's range, for the expected peak. A thousandth of the range (accuracy class 0.1) is 5 %
-of the first; beyond the second, a peak a tenth larger than expected is cut off."""
+"""Of a sensor's range, for the expected peak. A sensor of accuracy class 0.1 is wrong by a
+thousandth of its range, 5 % of less than the first; beyond the second a peak that is a tenth larger
+than expected is cut off."""
 PER_PERIOD = 5.0
 """Samples in a period of the specimen, below which its motion can't be seen."""
 CONTROLLED = 10.0

@@ -26,7 +26,8 @@ from seft_ros.reference_force.reference_force_parameters import LONGEST_MODEL_ST
 SHARE = 0.6
 """Of a period, for the model: the loop's nodes need the remainder."""
 LOOKS = 4
-"""At a model that seems too slow. The shortest time of each step counts: the rest is the host's."""
+"""At a model that seems too slow. Of each step the shortest time counts: what takes long in all of
+them is the model, the remainder is the host."""
 _FIRST = 2
 """Steps in which a model may still load what it needs; the node takes many before a test."""
 _STEPS = 5000

@@ -16,7 +16,8 @@ from seft_ros.design.planned_tests import PlannedTest
 from seft_ros.design.plant import lightly_damped, roots_of
 
 SEEN_PERIODS = 6.0
-"""Of the slowest mode with the tangents at rest, that are seen: of a slower one at least one."""
+"""Of the slowest mode with the model's tangents at rest, in which the vibration is seen: a model of
+slower modes shows at least one period of those."""
 SAMPLES_PER_PERIOD = 40
 """Of the fastest mode of the axes, in one of its periods: every so many steps one is used."""
 PULSE_SAMPLES = 4
@@ -24,7 +25,8 @@ PULSE_SAMPLES = 4
 ROWS, LONGEST = 30, 600
 """Samples in a column of the Hankel matrix, at least, and values, at most."""
 PRESENT = 1e-4
-"""Singular value over the largest from which on a state is there, and no effect of steps."""
+"""Singular value over the largest one, from which on a state is there: what steps and small
+nonlinearities make is below."""
 
 
 def modes_with_model(whole: WholeStructure, dt: float) -> Complexes:
@@ -214,7 +216,8 @@ def instability(planned_test: PlannedTest) -> str:
 
 
 FEWEST_SAMPLES = 2.5
-"""In a period: at 2.4 the velocity from accelerations errs, below 2 another frequency shows."""
+"""In a period of an oscillation, with which accelerations still tell the velocity: at 2.4 the error
+begins to grow, and below 2 the samples show another frequency."""
 
 
 def folded(planned_test: PlannedTest) -> str:

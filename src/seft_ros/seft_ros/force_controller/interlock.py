@@ -25,7 +25,8 @@ from seft_ros.force_controller.methods import force_control
 from seft_ros.protection.protected_force import extrapolate, implausible_force
 
 TRIP, STEP, SATURATED, AXIS = range(4)
-"""Flags: reason and step of the trip, number of limited drives, axis away from its target."""
+"""Places of the flags: reason and step of the trip, number of limited drives, and the axis that is
+away from its target."""
 NO_TRIP, IMPLAUSIBLE, IMPLAUSIBLE_COMMAND, SATURATION, OFF_TARGET, LIMIT, OUTSIDE = range(7)
 """Reasons of a trip; the last one is a reason from outside."""
 VALID_CAUSES = NO_TRIP, IMPLAUSIBLE, LIMIT

@@ -34,7 +34,8 @@ from seft_plant_sim.judge.valve_model import ValveModel
 from seft_plant_sim.lti import first_order_hold, split_dead_time
 
 CROSSOVER = math.pi / 4
-"""Of the loop, times the delay that its valve may have: half of where a mere delay oscillates."""
+"""Of the loop, times the delay of the valve that it may have: half the value at which a loop of a
+delay alone, without a model of it, would oscillate."""
 UNKNOWN_PHASE = math.pi / 18
 """Of the loop at its crossover, at most, by a valve whose delay is as wrong as it may be: ten
 degrees. Of a fast valve, what is not known is most of the delay."""
@@ -43,10 +44,12 @@ STIFF = 10.0
 with a mass that is not known, which is 0: what is fed back is then the volume x + c."""
 
 STOOD = 3.0
-"""Square of the delay's error that is stood, over its variance: an even distribution's largest."""
+"""Square of the delay's error that the damping of ringing must stand, over its variance: that of
+the largest one of an even distribution."""
 
 ELASTIC = 0.5
-"""Part of the specimen's stiffness that is counted on: halfway between elastic and yielding."""
+"""Part of the specimen's stiffness that the regulator counts on: halfway between a specimen that is
+elastic and one that yields."""
 
 _NONE = (
     "force_controller: no regulator brings this specimen back to its plan; check /**: actuator.* "

@@ -235,7 +235,8 @@ def servo_stop(
 
 
 LEAST_GAIN = 0.2
-"""Displacement per command over that at rest, down to which it is inverted: by five times it."""
+"""Displacement per command down to which the response is inverted, over that at rest: more would
+take commands of five times the motion."""
 NEGLIGIBLE = 0.05
 """Part of the weights of the coming motion that may be left to a linear continuation of it."""
 

@@ -30,11 +30,13 @@ from seft_ros.reference_force.compensator import MethodInputs
 _HURRY = 10.0
 """Largest factor by which strong vibration shortens that time."""
 IN_BAND = 0.3
-"""Part of the structure's whole acceleration that is always assumed as its vibration. A specimen
-that yields or hits a stop excites the oil column: in fault-free tests not above 1.5 times the
-structure's acceleration for long; an unstable loop reaches 7 times that."""
+"""Part of the structure's whole acceleration that is always assumed as its vibration. If the
+specimen yields or hits a stop, the control excites the oil column for some cycles: in fault-free
+tests not above 1.5 times the structure's acceleration for long; in an unstable loop it reaches 7
+times that acceleration."""
 EXPLAINED, OBSERVED, EXPECTED, WHOLE = range(4)
-"""Rows of mean squares: the structure's in the band, measured, largest recent, and whole."""
+"""Rows of the mean squares: of the structure's acceleration in the band, the measured one there,
+the largest recent one of the structure, and the structure's whole acceleration."""
 
 
 class WatchParameters(NamedTuple):

@@ -220,7 +220,8 @@ def not_finite(state: Floats, axes: Sequence[str]) -> str:
 
 
 HOLDING, CAUSE, AGE = range(3)
-"""Flags: whether the last plausible point is used, the ramp's cause, that point's age in steps."""
+"""Places of the flags: whether the last plausible point is used, the cause of the ramp, and the age
+of that point in steps."""
 NOTHING, IMPLAUSIBLE_FORCE, IMPLAUSIBLE_STATE, INSTABILITY = range(4)
 """Causes."""
 

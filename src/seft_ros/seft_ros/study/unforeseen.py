@@ -22,7 +22,8 @@ from seft_ros.test_run.blocks import build_blocks
 from seft_ros.test_run.offline import simulate_test
 
 AT, HARDENING = 1.0 / 3.0, 0.1
-"""Yield deformation over the largest planned one, and stiffness left: it yields often and far."""
+"""Deformation at which it yields, over the largest of the planned test, and stiffness that is left:
+it yields often and far."""
 LARGEST_ERROR = 0.015
 """Displacement error without noise up to which the valve can follow."""
 _BEYOND = 100.0  # of all limits: a specimen that yields moves farther than planned

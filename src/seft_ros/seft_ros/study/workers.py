@@ -20,7 +20,10 @@ from typing import Any
 from seft_msgs_py.errors import ExperimentError, InputError
 
 Map = Callable[..., Iterator[tuple[int, Any]]]
-"""A `map` over what can be pickled: place and result of each call, as soon as there is one."""
+"""A `map` over functions of modules, whose arguments and results can be pickled.
+
+It gives the place and the result of each call as soon as there is one.
+"""
 _CONNECT_TIME = 5.0  # s
 
 

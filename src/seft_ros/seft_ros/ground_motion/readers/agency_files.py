@@ -119,7 +119,8 @@ _COSMOS_REALS = re.compile(
     rf"^\s*\d+\s+Real-header values follow on\s+(\d+)\s+lines.*?{_COSMOS_FORMAT}", _FLAGS
 )
 _COSMOS_PERIODS = ((62, 1e-3), (34, 1.0))
-"""Places of a period in the real header, and its unit in s: of the values, of the instrument."""
+"""Places of the sampling period in the real header, and its unit in s: the period of these values,
+then that of the instrument."""
 
 
 def read_cosmos(path: Path, lines: list[str]) -> Columns | None:
