@@ -186,7 +186,11 @@ def test_margins_are_the_smallest_since_the_reset():
     assert set(limits.margins().values()) == {1.0}
 
 
-def test_a_limit_is_above_zero():
+def test_limits_are_those_of_the_paper_unless_they_are_given():
+    rows = [FACTS[f"limits.{name}"] for name in LIMIT_ROWS]
+    rates = RATES | {"force_rate": 0.0}
+    assert [row.default for row in rows] == [*PAPER.values(), *rates.values()]
+    assert [row.unit for row in rows] == [*UNITS, *RATE_UNITS]
     with pytest.raises(InputError, match=r"limits\.force is 0, but must be greater than zero"):
         FACTS["limits.force"].check(0, "/**")
 

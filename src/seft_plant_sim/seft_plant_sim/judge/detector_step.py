@@ -83,9 +83,8 @@ def judge_sample(
         load = under_load(flow, state.last[3, i], p.rig.actuator[i, CAPACITY])
         mean, later = load * flow, load * state.flow[1, i]
         # a valve that is open opens no further; where the limit of its command lies below, it does
-        beyond = (
-            0.5 * load * max(abs(flow) - p.rig.actuator[i, FLOW_GAIN] * p.rig.largest_drive, 0.0)
-        )
+        most = p.rig.actuator[i, FLOW_GAIN] * p.rig.largest_drive
+        beyond = 0.5 * load * max(abs(flow) - most, 0.0)
         state.mean[1, i] = uncertain(state.covariance[OIL, i], mean, later, 1.0) + beyond * beyond
         mean -= math.copysign(beyond, mean)
         state.mean[0, i] = expected(state.estimated[OIL], i, mean, later, 1.0)
